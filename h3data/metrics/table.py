@@ -223,7 +223,8 @@ def aligned(lines: Sequence[Sequence[str]]) -> str:
 
 
 def _check_unique(rows: Sequence[EpisodeMetrics]) -> None:
-    twice = [uid for uid, times in Counter(e.uid for e in rows).items() if times > 1]
+    # participants of a study play the same episodes
+    twice = [uid for (uid, _), times in Counter((e.uid, e.participant) for e in rows).items() if times > 1]
     if twice:
         names = [e.episode_id for e in {e.uid: e for e in rows}.values() if e.uid in set(twice[:5])]
         raise InputError(

@@ -30,7 +30,7 @@ from h3data_pipelines.machine.warmup import Warmup
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View
-from h3data_pipelines.studies.fitting import STUDY
+from h3data_pipelines.studies.group import STUDY
 
 COMMANDS: dict[str, type[Command] | Group] = {
     "demo": Demo,

@@ -9,8 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from h3data.errors import InputError
-from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file, write_text
-from h3data_pipelines.studies.running import StudyNew, StudyRun
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, write_text
 
 StepsModelOption = Annotated[
     Literal["auto", "poisson", "observation"],
@@ -69,8 +68,3 @@ class StudyFit:
         if self.out is not None:
             write_text(self.out, json.dumps(analysis.to_dict(), indent=2) + "\n")
         return Outcome(text=analysis.to_text(), data=analysis.to_dict())
-
-
-STUDY = Group(
-    "Run studies with people in the browser, and analyse them.", {"new": StudyNew, "run": StudyRun, "fit": StudyFit}
-)

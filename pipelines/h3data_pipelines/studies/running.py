@@ -134,19 +134,19 @@ def keep_design(folder: Path, design: Design) -> None:
     """
     import msgspec
 
-    kept, now = folder / "design.json", msgspec.json.format(msgspec.json.encode(design), indent=2)
-    if kept.is_file() and kept.read_bytes() != now and (folder / "study.sqlite").is_file():
-        from h3data_viewers.hitl.study.store import open_database
+    from h3data_viewers.hitl.study.files import DESIGN_FILE, open_store, open_study
+    from h3data_viewers.hitl.study.store import DATABASE
 
-        with open_database(folder) as database:
-            people = database.execute("select count(*) from participants").fetchone()[0]
+    kept = folder / DESIGN_FILE
+    if kept.is_file() and (folder / DATABASE).is_file() and (before := open_study(folder)[1]) != design:
+        people = len(open_store(folder, before).participants)
         if people:
             raise InputError(
                 f"The file has changed since {counted(people, 'participant')} took part. Expected what is in {kept}. Undo "
                 "the change, or give the study another version, which gets a folder of its own."
             )
     with part_file(kept) as part:
-        part.write_bytes(now)
+        part.write_bytes(msgspec.json.format(msgspec.json.encode(design), indent=2))
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import secrets
 import sqlite3
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -62,6 +63,8 @@ class Journal:
     folder: Path
     name: str = JOURNAL
     """Of the file."""
+    read_only: bool = False
+    """Works on a copy in memory: the file may be another process's."""
     seats: dict[str, Seat] = field(default_factory=dict)
     games: dict[str, Game] = field(default_factory=dict)
     links: list[str] = field(default_factory=list)
@@ -69,7 +72,10 @@ class Journal:
 
     def __post_init__(self) -> None:
         # one process writes; a commit is on the disk before a browser hears of it
-        self._db = sqlite3.connect(self.folder / self.name, isolation_level=None)
+        self._db = sqlite3.connect(":memory:" if self.read_only else self.folder / self.name, isolation_level=None)
+        if self.read_only:
+            with closing(sqlite3.connect(f"{(self.folder / self.name).resolve().as_uri()}?mode=ro", uri=True)) as file:
+                file.backup(self._db)
         self._db.executescript(_TABLES)
         for sid, token, place, number, game in self._db.execute("select sid, token, place, number, game from seats"):
             self.seats[sid] = Seat(sid, token, place, number, game)

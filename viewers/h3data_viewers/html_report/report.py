@@ -84,12 +84,14 @@ def make_report(
     people: PeopleStyle = "skin",
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
+    more: Sequence[Table] = (),
 ) -> Report:
     """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
     ``assets`` are folders of the files that foreign recordings name, and ``people`` how people are shown, for the key
     frames; ``study`` chooses the models of
-    episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population.
+    episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population; ``more`` are
+    tables of what is not in recordings, each in a section of its own.
 
     Raises:
         InputError: there is no recording, or episodes that cannot share a table; see `gather`.
@@ -112,6 +114,7 @@ def make_report(
             body.append(_highlighted(task, chosen, plans, [Path(folder) for folder in assets], people, tail))
     if any(not e.recorded for e in data.episodes):
         missing.append("Pictures, paths and times of evaluated episodes: evaluate --keep keeps their recordings.")
+    body += [_section(table.key, table.title, to_html(table)) for table in more]
     if pairs:
         text = "".join(f"<h3>{escape(t.title)}</h3>{to_html(t)}" for t in pairs)
         body.append(_section("paired", "Paired differences", text))
@@ -126,7 +129,7 @@ def make_report(
     return Report(
         title=title,
         data=data,
-        tables=(*tables, *pairs),
+        tables=(*tables, *more, *pairs),
         tables_of_partners=tuple(heat),
         missing=tuple(missing),
         html=_page(title, plans.definitions() + head + "<main>" + "".join(s for _, _, s in body) + "</main>" + _foot()),
@@ -143,9 +146,12 @@ def write_report(
     people: PeopleStyle = "skin",
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
+    more: Sequence[Table] = (),
 ) -> Report:
     """`make_report`, written to ``out``."""
-    report = make_report(paths, title=title, pictures=pictures, assets=assets, people=people, study=study, zsc=zsc)
+    report = make_report(
+        paths, title=title, pictures=pictures, assets=assets, people=people, study=study, zsc=zsc, more=more
+    )
     with part_file(out) as part:
         part.write_text(report.html, encoding="utf-8")
     return report

@@ -12,8 +12,7 @@ from typing import Any
 import msgspec
 
 from h3data.recording import read_mcap
-from h3data_viewers.hitl.study.files import make_plan
-from h3data_viewers.hitl.study.store import StudyStore
+from h3data_viewers.hitl.study.files import make_plan, open_store
 from sim_kinematic.tasks.resume import verify
 from tests.viewers.hitl.server import Server
 from tests.viewers.hitl.studies.participant import DEVICE, Participant
@@ -59,7 +58,7 @@ def test_a_whole_study_is_played_and_its_recordings_say_by_whom_under_what(tmp_p
     assert not list(folder.glob("*/h3")), "homes are stored once for the study"
     raw = b"".join(path.read_bytes() for path in tmp_path.rglob("*") if path.is_file())
     assert b"5f0000000000000000000abc" not in raw
-    store = StudyStore(make_plan(tiny(), folder))
+    store = open_store(folder, tiny())
     (kept,) = store.participants.values()
     assert kept.progress.status == "complete"
     assert kept.progress.rows["form/1/nasa_tlx"]["answers"]["effort"] == 0

@@ -12,14 +12,15 @@ import msgspec
 from h3data.errors import InputError, did_you_mean
 from h3data.habitat.scene_names import named_scenes
 from h3data.metrics import plan_sessions
-from h3data_viewers.hitl.app import find_app
 from h3data_viewers.hitl.live import Table
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.study.design import Block, Condition, Consent, Design, Form, Place, StudyPlan, Text
 from h3data_viewers.hitl.study.forms import BUILTIN, resolved
+from h3data_viewers.hitl.study.store import DATABASE, StudyStore
 from h3data_viewers.hitl.study.texts import ENGLISH
 
-STUDY_FILE, RECORDINGS, TUTORIALS = "study.toml", "recordings", "tutorial"
+DESIGN_FILE = "design.json"
+"""In the folder of a study: what its file said when the first participant came."""
 _SECTION = re.compile(r" - at `\$\.?(.*)`$")
 
 
@@ -151,52 +152,60 @@ def study_folder(path: Path, design: Design) -> Path:
     return path.parent / f"{design.name}-{design.version}"
 
 
-def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
-    """Deals conditions, scenes and episodes to all places; above a ``speed`` of 1 time runs faster, for scripted participants.
+def deal(design: Design) -> tuple[Place, ...]:
+    """Deals conditions, scenes and episodes to all participants.
 
     Raises:
-        InputError: there are no such scenes or apps.
+        InputError: there are no such scenes.
     """
-    scenes = list(dict.fromkeys(named.name for text in design.scenes for named in named_scenes(text)))
-    tutorial = _tutorial(design)
-    for condition in (tutorial, *design.conditions):
-        find_app(condition.app)
-    blocks_each = math.ceil(len(design.conditions) / len(scenes))
+    scenes = scene_names(design)
     practice = 0 if design.tutorial.skip else 1
-    pool = [str(k) for k in range(blocks_each * design.episodes + practice)]
+    pool = [str(k) for k in range(math.ceil(len(design.conditions) / len(scenes)) * design.episodes + practice)]
     sessions = plan_sessions(
         design.participants, [c.name for c in design.conditions], dict.fromkeys(scenes, pool),
         episodes_per_condition=design.episodes, training_episodes=practice, study=design.name, seed=design.seed,
     )  # fmt: skip
-    places = tuple(
+    return tuple(
         Place(
             practice=tuple(int(e) for e in session.training),
             blocks=tuple(Block(b.condition, b.scene, tuple(int(e) for e in b.episodes)) for b in session.blocks),
         )
         for session in sessions
     )
-    plans, numbers = [], {}
-    for name, condition in (("", tutorial), *((c.name, c) for c in design.conditions)):
-        for scene in scenes:
+
+
+def scene_names(design: Design) -> list[str]:
+    """Each home of a study by a name of its own."""
+    return list(dict.fromkeys(named.name for text in design.scenes for named in named_scenes(text)))
+
+
+def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
+    """A study ready to be served; above a ``speed`` of 1 time runs faster, for scripted participants.
+
+    Raises:
+        InputError: there are no such scenes, apps, policies or rules.
+    """
+    plans: list[PlayPlan] = []
+    numbers: dict[str, int] = {}
+    for name, condition in (("", _tutorial(design)), *((c.name, c) for c in design.conditions)):
+        for scene in scene_names(design):
+            plan = PlayPlan(
+                app=condition.app, out=str(folder.resolve()), seats=(condition.play_as,), partner=condition.partner,
+                scenes=scene, seed=design.seed, speed=speed, rules=condition.rules,
+            )  # fmt: skip
+            if not any(key.startswith(f"{name}|") for key in numbers):
+                _check_playable(name, plan)
             numbers[f"{name}|{scene}"] = len(plans)
-            plans.append(
-                PlayPlan(
-                    app=condition.app,
-                    out=str(folder.resolve()),
-                    seats=(condition.play_as,),
-                    partner=condition.partner,
-                    scenes=scene,
-                    seed=design.seed,
-                    speed=speed,
-                    rules=condition.rules,
-                )
-            )
-    for name in ("", *(c.name for c in design.conditions)):
-        _check_playable(name, plans[numbers[f"{name}|{scenes[0]}"]])
+            plans.append(plan)
     return StudyPlan(
-        design=design, out=str(folder.resolve()), places=places, plans=tuple(plans), numbers=numbers,
-        key_file=str(folder.resolve().with_name(folder.name + ".key")),
+        design=design, out=str(folder.resolve()), places=deal(design), plans=tuple(plans), numbers=numbers,
+        key_file=str(key_file(folder)),
     )  # fmt: skip
+
+
+def key_file(folder: Path) -> Path:
+    """The secret of a study: beside its folder, so that whoever gets the folder does not get the key."""
+    return folder.resolve().with_name(folder.resolve().name + ".key")
 
 
 def _check_playable(name: str, plan: PlayPlan) -> None:
@@ -213,3 +222,35 @@ def _tutorial(design: Design) -> Condition:
     return Condition(
         name="tutorial", app=said.app, play_as=design.conditions[0].play_as, partner="solo", rules=said.rules
     )
+
+
+def open_study(path: Path) -> tuple[Path, Design]:
+    """Folder and design of a study that has begun, from its file or its folder.
+
+    Raises:
+        InputError: there is none, or nobody has begun it.
+    """
+    folder = path if path.is_dir() else study_folder(path, read_design(path))
+    try:
+        design = msgspec.json.decode((folder / DESIGN_FILE).read_bytes(), type=Design)
+    except FileNotFoundError:
+        raise InputError(
+            f"Expected a study file or the folder of a study, in which there is a {DESIGN_FILE}: {folder}. Hint: h3data study "
+            "run begins a study."
+        ) from None
+    except msgspec.MsgspecError as fault:
+        raise InputError(
+            f"The study's {DESIGN_FILE} is damaged or of another version: {fault}. Folder: {folder}"
+        ) from None
+    return folder, design
+
+
+def open_store(folder: Path, design: Design, *, read_only: bool = True) -> StudyStore:
+    """Participants of a study. Changes to a ``read_only`` one are not kept.
+
+    Raises:
+        InputError: nobody has taken part.
+    """
+    if not (folder / DATABASE).is_file():
+        raise InputError(f"Nobody has taken part in this study yet: {folder}. Hint: h3data study run begins it.")
+    return StudyStore(design, deal(design), folder, read_only=read_only)

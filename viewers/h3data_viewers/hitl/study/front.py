@@ -18,7 +18,8 @@ from h3data_viewers.hitl.front import ELSEWHERE, PAGE, Front
 from h3data_viewers.hitl.plan import GameOrder
 from h3data_viewers.hitl.seats import Game, Seat, new_token
 from h3data_viewers.hitl.study.design import StudyPlan
-from h3data_viewers.hitl.study.flow import DROPPED, WITHDRAWN, NotNow, Stage
+from h3data_viewers.hitl.study.flow import DROPPED, WITHDRAWN, NotNow
+from h3data_viewers.hitl.study.orders import game_key, order_of, row_of
 from h3data_viewers.hitl.study.pseudonyms import read_key, recruit_ids
 from h3data_viewers.hitl.study.store import Participant, StudyStore
 from h3data_viewers.hitl.study.views import consent_view, end_view, stage_view
@@ -94,7 +95,7 @@ class StudyFront(Front):
         self.study, self.design = study, study.design
         super().__init__(
             study.plans[0], workers=workers, open_door=open_door, secure=secure, report=report, plans=study.plans,
-            journal=StudyStore(study),
+            journal=StudyStore(study.design, study.places, Path(study.out)),
         )  # fmt: skip
         self.finishes = False
         self.began = time.time()
@@ -326,40 +327,13 @@ class StudyFront(Front):
             if stage.kind not in ("tutorial", "episode"):
                 raise web.HTTPConflict(text="There is something else to do first. Reload the page.")
             self._require_capacity()
-            game = self.journal.begin_episode(participant, f"{participant.id}/{self._game_key(participant, stage)}")
+            game = self.journal.begin_episode(participant, game_key(participant, stage))
         if seat.game != game.key:
             self.journal.assign(seat, game)
         return self._live(game)
 
-    def _game_key(self, participant: Participant, stage: Stage) -> str:
-        if stage.kind == "tutorial":
-            return f"tutorial/{participant.progress.attempts + 1}"
-        return stage.key
-
     def _order(self, game: Game) -> GameOrder:
-        participant = self.journal.participants[game.place]
-        place, said = self.study.places[participant.place], participant.progress.rows.get("device", {})
-        _, kind, *numbers = game.key.split("/")
-        hitl: dict[str, Any] = {
-            "study": {"name": self.design.name, "version": self.design.version},
-            "consent": participant.consent,
-            "language": participant.language,
-            "client": {k: said[k] for k in ("browser", "system", "gpu", "touch", "headset") if k in said},
-        }
-        if kind == "tutorial":
-            scene = place.blocks[0].scene
-            return GameOrder(
-                index=place.practice[0], name=f"tutorial/{participant.id}_{numbers[0]}",
-                plan=self.study.number("", scene), hitl={**hitl, "participant": participant.id, "tutorial": int(numbers[0])},
-            )  # fmt: skip
-        k, trial = map(int, numbers)
-        block = place.blocks[k - 1]
-        return GameOrder(
-            index=block.episodes[trial - 1], name=f"recordings/{participant.id}_{k}-{trial:02d}",
-            plan=self.study.number(block.condition, block.scene),
-            info={"participant": participant.id, "condition": block.condition},
-            hitl={**hitl, "block": k, "trial": trial},
-        )  # fmt: skip
+        return order_of(self.study, self.journal.participants[game.place], game.key)
 
     def _is_last(self) -> bool:
         return False
@@ -368,7 +342,7 @@ class StudyFront(Front):
         game, participant = live.game, self.journal.participants.get(live.game.place)
         if not game.over and participant is not None:
             result = {name: over.get(name) for name in ("ended", "steps", "slipped", "step_ms")}
-            self._save(participant, participant.progress.over(game.key.partition("/")[2], result))
+            self._save(participant, participant.progress.over(row_of(game.key), result))
             self.journal.saw(participant)
         super()._over(live, over)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import msgspec
 
 from h3data_viewers.hitl.seats import Game, Journal, Seat
-from h3data_viewers.hitl.study.design import StudyPlan
+from h3data_viewers.hitl.study.design import Design, Place
 from h3data_viewers.hitl.study.flow import ACTIVE, COMPLETE, Progress
 
 DATABASE = "study.sqlite"
@@ -56,21 +57,20 @@ class Participant:
         return self.progress.status == ACTIVE
 
 
-def open_database(folder: Path) -> sqlite3.Connection:
-    """The study's database; what is deleted in it is overwritten."""
-    db = sqlite3.connect(folder / DATABASE, isolation_level=None)
-    db.execute("pragma secure_delete = on")
-    db.executescript(_TABLES)
-    return db
-
-
 class StudyStore(Journal):
     """The journal of seats and games of a study, and its participants."""
 
-    def __init__(self, plan: StudyPlan) -> None:
-        self.plan = plan
+    def __init__(self, design: Design, places: Sequence[Place], folder: Path, *, read_only: bool = False) -> None:
+        """
+        Args:
+            design: The study file.
+            places: What each participant plays.
+            folder: Of the study.
+            read_only: Works on a copy in memory: the file may be another process's.
+        """
+        self.design, self.places = design, places
         self.participants: dict[int, Participant] = {}
-        super().__init__(Path(plan.out), name=DATABASE)
+        super().__init__(folder, name=DATABASE, read_only=read_only)
         self._db.execute("pragma secure_delete = on")
         self._db.executescript(_TABLES)
         self._load()
@@ -84,7 +84,7 @@ class StudyStore(Journal):
         for number, pseudonym, place, status, reason, joined, seen, ended, language, consent, ids in self._db.execute(
             "select number, id, place, status, reason, joined, seen, ended, language, consent, ids from participants"
         ):
-            progress = Progress(self.plan.design, self.plan.places[place], rows.get(number, {}), status, reason)
+            progress = Progress(self.design, self.places[place], rows.get(number, {}), status, reason)
             self.participants[number] = Participant(
                 number=number, id=pseudonym, place=place, joined=joined, seen=seen, ended=ended, language=language,
                 consent=msgspec.json.decode(consent), ids=msgspec.json.decode(ids), progress=progress,
@@ -103,7 +103,7 @@ class StudyStore(Journal):
     def free_place(self) -> int | None:
         """The first place that nobody has or has filled: that of somebody who has dropped out is free again."""
         taken = {p.place for p in self.participants.values() if p.progress.status in (ACTIVE, COMPLETE)}
-        return next((k for k in range(len(self.plan.places)) if k not in taken), None)
+        return next((k for k in range(len(self.places)) if k not in taken), None)
 
     def join(
         self, pseudonym: str, place: int, *, language: str, consent: dict[str, str], ids: dict[str, str]
@@ -113,7 +113,7 @@ class StudyStore(Journal):
         number = 1 + self._last_number()
         participant = Participant(
             number=number, id=pseudonym, place=place, joined=now, seen=now, language=language, consent=consent, ids=ids,
-            progress=Progress(self.plan.design, self.plan.places[place]),
+            progress=Progress(self.design, self.places[place]),
         )  # fmt: skip
         with self._transaction():
             self._db.execute(
@@ -126,8 +126,7 @@ class StudyStore(Journal):
 
     def _last_number(self) -> int:
         """Numbers of people who were forgotten are not given again."""
-        row = self._db.execute("select value from counts where name = 'last number'").fetchone()
-        return 0 if row is None else int(row[0])
+        return self.counted("last number")
 
     def count(self, name: str, by: int = 1) -> None:
         """Counts something that happened to nobody in particular."""
@@ -135,6 +134,11 @@ class StudyStore(Journal):
             "insert into counts values (?, ?) on conflict (name) do update set value = value + excluded.value",
             (name, by),
         )
+
+    def counted(self, name: str) -> int:
+        """How often something happened."""
+        row = self._db.execute("select value from counts where name = ?", (name,)).fetchone()
+        return 0 if row is None else int(row[0])
 
     def saw(self, participant: Participant, at: float | None = None) -> None:
         """Notes that a participant has done something."""
@@ -159,6 +163,24 @@ class StudyStore(Journal):
 
     def _transaction(self) -> _Transaction:
         return _Transaction(self._db)
+
+    def forget(self, participant: Participant) -> dict[str, int]:
+        """Deletes a participant; returns how many entries of each kind there were. What is deleted is overwritten."""
+        number = participant.number
+        removed: dict[str, int] = {}
+        with self._transaction():
+            for what, statement in (
+                ("participants", "delete from participants where number = ?"),
+                ("rows", "delete from rows where participant = ?"),
+                ("seats", "delete from seats where place = ?"),
+                ("games", "delete from games where place = ?"),
+            ):
+                removed[what] = self._db.execute(statement, (number,)).rowcount
+        self._db.execute("vacuum")
+        del self.participants[number]
+        self.seats = {sid: seat for sid, seat in self.seats.items() if seat.place != number}
+        self.games = {key: game for key, game in self.games.items() if game.place != number}
+        return removed
 
     # --- seats --------------------------------------------------------------------------------------------------------
     def seat_of(self, participant: Participant) -> Seat | None:

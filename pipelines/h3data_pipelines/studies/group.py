@@ -1,0 +1,22 @@
+"""``h3data study``: studies with people, from the file to the report."""
+
+from __future__ import annotations
+
+from h3data_pipelines.command import Group
+from h3data_pipelines.studies.fitting import StudyFit
+from h3data_pipelines.studies.managing import StudyForget, StudyStatus
+from h3data_pipelines.studies.reporting import StudyCompare, StudyReport
+from h3data_pipelines.studies.running import StudyNew, StudyRun
+
+STUDY = Group(
+    "Run studies with people in the browser, and analyse them.",
+    {
+        "new": StudyNew,
+        "run": StudyRun,
+        "status": StudyStatus,
+        "report": StudyReport,
+        "compare": StudyCompare,
+        "forget": StudyForget,
+        "fit": StudyFit,
+    },
+)

@@ -1,0 +1,170 @@
+"""What is made of a study that has been played: status, report, ranks, and the removal of somebody who asks for it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from h3data.errors import InputError
+from h3data_pipelines.cli import main
+from h3data_pipelines.studies.managing import StudyForget, StudyStatus
+from h3data_pipelines.studies.reporting import StudyCompare, StudyReport
+from h3data_pipelines.studies.running import keep_design, running
+from h3data_viewers.hitl.study.files import open_store, open_study, read_design
+from tests.viewers.hitl.studies.played import NOTHING, pid, play_study
+from tests.viewers.hitl.studies.tiny import tiny, write_tiny
+
+FORMS = [
+    {"builtin": "nasa_tlx"},
+    {"id": "you", "after": "end", "items": [
+        {"id": "age", "text": "Age", "kind": "number", "min": 18, "max": 120},
+        {"id": "words", "text": "Anything else?", "kind": "text"},
+    ]},
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return play_study(tmp_path_factory.mktemp("study"), 2, unfinished=1, forms=FORMS)
+
+
+def copied(study: Path, folder: Path) -> Path:
+    import shutil
+
+    shutil.copytree(study.parent, folder, dirs_exist_ok=True)
+    return folder / study.name
+
+
+def test_status_says_who_is_where(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = StudyStatus(study).run().data
+    assert data["statuses"]["complete"] == 2
+    assert data["statuses"]["active"] == 1
+    assert data["bots"] == 3
+    assert [(c["episodes"], c["planned"], c["success"]) for c in data["conditions"]] == [(3, 4, 3), (2, 4, 2)]
+    active = next(p for p in data["participants"] if p["status"] == "active")
+    assert active["stage"] == "form/1/nasa_tlx"
+    assert main(["study", "status", str(study.parent / "tiny-1")]) == 0
+    text = capsys.readouterr().out
+    assert "3 participants scripted (bots)" in text
+    assert "solo       3 of 4" in text
+
+
+def test_the_report_has_the_papers_table_and_the_questionnaires(study: Path, tmp_path: Path) -> None:
+    outcome = StudyReport(study, out=tmp_path / "out", pictures=0).run()
+    assert outcome.data["participants"] == 2, "who has not finished does not count"
+    assert outcome.data["analysis"]["episodes"] == {"solo": 2, "still": 2}
+    assert outcome.data["analysis"]["estimates"]["RE"]["solo"]["mean"] == 100
+    assert [(m["form"], m["condition"], m["people"]) for m in outcome.data["forms"]] == [
+        ("nasa_tlx", "solo", 2), ("nasa_tlx", "still", 2),
+    ]  # fmt: skip
+    assert "are scripts (bots)" in outcome.text
+    html = (tmp_path / "out" / "report.html").read_text()
+    assert "Questionnaires" in html
+    assert "Human-in-the-loop study" in html
+    assert "scripted participants" in html
+    rows = list(csv.reader((tmp_path / "out" / "answers.csv").read_text().splitlines()))
+    assert NOTHING["text"] not in [row[-1] for row in rows], "free text is left out"
+    assert [row[-1] for row in rows if row[3] == "age"] == ["30", "30"]
+    assert json.loads((tmp_path / "out" / "study.json").read_text())["participants"] == 2
+    everybody = StudyReport(study, out=tmp_path / "all", pictures=0, everybody=True, free_text=True).run()
+    assert everybody.data["analysis"]["episodes"] == {"solo": 3, "still": 2}
+    assert NOTHING["text"] in (tmp_path / "all" / "answers.csv").read_text().replace('""', '"')
+
+
+def test_episodes_that_came_late_are_left_out_and_counted(study: Path, tmp_path: Path) -> None:
+    path = copied(study, tmp_path / "late")
+    db = sqlite3.connect(tmp_path / "late" / "tiny-1" / "study.sqlite")
+    data = json.loads(db.execute("select data from rows where stage = 'episode/1/1' and participant = 1").fetchone()[0])
+    db.execute(
+        "update rows set data = ? where stage = 'episode/1/1' and participant = 1",
+        (json.dumps({**data, "slipped": 99}),),
+    )
+    db.commit()
+    db.close()
+    outcome = StudyReport(path, pictures=0, everybody=True).run()
+    assert "1 episode left out: more than 1% of the steps came late." in outcome.data["notes"]
+    assert sum(c["left_out"] for c in StudyStatus(path).run().data["conditions"]) == 1
+
+
+@pytest.mark.parametrize("by", ["number", "recruiting id"])
+def test_forgetting_leaves_no_trace(study: Path, tmp_path: Path, by: str) -> None:
+    root = tmp_path / "forget"
+    path = copied(study, root)
+    folder, design = open_study(path)
+    person = open_store(folder, design).participants[1]
+    StudyReport(path, pictures=0).run()
+    (folder / "recordings" / f".{person.id}_9-01.mcap.saved.mcap").write_bytes(b"x")
+    traces = [person.id, *person.ids.values()]
+    asked = person.id if by == "number" else pid(0)
+    assert found(root, traces)
+    before = {file: file.read_bytes() for file in root.rglob("*") if file.is_file()}
+    dry = StudyForget(path, asked, dry_run=True).run()
+    assert {file: file.read_bytes() for file in root.rglob("*") if file.is_file() and file.name != ".running"} == before
+    outcome = StudyForget(path, asked).run()
+    assert outcome.data["files"] == dry.data["files"]
+    assert len(outcome.data["files"]) == 4, "two recordings, what a crash has left, the report"
+    assert outcome.data["database"] == {"participants": 1, "rows": 6, "seats": 1, "games": 2}
+    assert outcome.data["forms"] == 3
+    assert found(root, traces) == []
+    assert len(open_store(folder, design).participants) == 2
+    StudyReport(path, pictures=0, everybody=True).run()
+    with pytest.raises(InputError, match="Nobody in this study is"):
+        StudyForget(path, asked).run()
+    again = open_store(folder, design)
+    assert again.free_place() == 0, "the place is free again"
+    new = again.join("P-NEW", 0, language="en", consent={}, ids={})
+    assert new.number == 4, "numbers of people who were forgotten are not given again"
+
+
+def found(root: Path, traces: list[str]) -> list[Path]:
+    """Files below a folder that name somebody, in their content or their name."""
+    return [
+        file
+        for file in root.rglob("*")
+        if any(trace in file.name or (file.is_file() and trace.encode() in file.read_bytes()) for trace in traces)
+    ]
+
+
+def test_a_study_that_runs_is_left_alone(study: Path, tmp_path: Path) -> None:
+    path = copied(study, tmp_path / "busy")
+    folder, design = open_study(path)
+    with running(folder):
+        with pytest.raises(InputError, match="is running in another process"):
+            StudyForget(path, "P-X").run()
+        StudyStatus(path).run()
+    with pytest.raises(InputError, match="has changed since 3 participants took part"):
+        keep_design(folder, tiny(episodes=2))
+    keep_design(folder, design)
+
+
+def test_what_is_no_study_is_said_to_be_none(tmp_path: Path, study: Path) -> None:
+    with pytest.raises(InputError, match="h3data study run begins a study"):
+        StudyStatus(write_tiny(tmp_path)).run()
+    with pytest.raises(InputError, match=r"Expected a study file or the folder of a study"):
+        StudyStatus(tmp_path).run()
+    folder = tmp_path / "tiny-1"
+    folder.mkdir()
+    keep_design(folder, read_design(study))
+    with pytest.raises(InputError, match="Nobody has taken part"):
+        StudyStatus(tmp_path / "study.toml").run()
+
+
+@pytest.mark.slow
+def test_ranks_by_people_stand_beside_ranks_by_automatic_evaluation(tmp_path: Path) -> None:
+    conditions = [{"name": "idle", "partner": "still"}, {"name": "helper", "partner": "same_object"}]
+    path = play_study(tmp_path, 2, conditions=conditions, scenes=["small:1"])
+    zsc = tmp_path / "zsc"
+    evaluate = ["evaluate", "rearrange", "--policies", "still,same_object", "--partners", "both", "--episodes", "1"]
+    assert main([*evaluate, "--scenes", "small:1", "-o", str(zsc)]) == 0
+    outcome = StudyCompare(path, zsc).run()
+    (table,) = outcome.data["tables"]
+    assert set(table["rows"]) >= {"CR", "RC"}
+    assert "same_object" in table["rows"]["RC"]["Order, with people"]
+    assert "Kendall" in outcome.text
+    other = play_study(tmp_path / "other", 2, conditions=conditions[:1], scenes=["small:1"])
+    with pytest.raises(InputError, match="Expected two or more policies that are both in the study"):
+        StudyCompare(other, zsc).run()
