@@ -6,8 +6,8 @@ a furnished home and need all of h3data.
 
 ``sim.gpu.human_robot.w*_depth_fps`` follows the paper's protocol of two agents (docs/benchmark.md): small home, random base
 velocities, a person who walks shortest paths, contact, skinning, and two depth images of 256 x 256 per world, 90 degrees: the
-robot's arm camera and between her eyes. One step of all worlds is one CUDA graph; nothing comes back to the host. Unlike
-there, she walks to random points instead of objects, in a clip of a fixed speed, and no object can be taken.
+robot's arm camera and between the person's eyes. One step of all worlds is one CUDA graph; nothing comes back to the host.
+Unlike there, people walk to random points instead of objects, in a clip of a fixed speed, and no object can be taken.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
 
     with torch.no_grad():
         replay = captured(step, [*play.tensors(), row])
-        for _ in range(60):  # she has set off
+        for _ in range(60):  # they have set off
             replay()
         return worlds / _wall_s(replay, steps=50)
 

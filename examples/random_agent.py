@@ -22,6 +22,6 @@ total, terminated, truncated, step = 0.0, False, False, 0
 while step < 100 and not (terminated or truncated):
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     total, step = total + reward, step + 1
-print(f"{step} steps, return {total:.1f}, {info['geodesic_m']:.1f} m from the person, found her: {bool(info['found'])}")
+print(f"{step} steps, return {total:.1f}, {info['geodesic_m']:.1f} m from the person, found: {bool(info['found'])}")
 if len(sys.argv) > 1:
     Image.fromarray(env.render()).save(sys.argv[1])

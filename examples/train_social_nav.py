@@ -118,7 +118,7 @@ def train(
         minibatch: So many samples are learned from at once; more worlds want more of them.
         steps: Of all worlds together.
         seed: Everything random follows from it.
-        horizon: Steps that it looks ahead at first and at last: finding her comes before never touching her.
+        horizon: Steps that it looks ahead at first and at last: finding the person comes before never touching them.
         observations: What the robot is shown (docs/environments.md).
         checkpoint_s: Seconds between two of them.
         resume: Go on from the checkpoint, to the weights that would have come out uninterrupted.

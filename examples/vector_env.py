@@ -9,7 +9,7 @@ env = h3data.make("social_nav", scenes=[f"h3-homes/train#{k}" for k in range(4)]
 
 
 def towards_her(observation: dict[str, np.ndarray]) -> np.ndarray:
-    """Turn to the person, drive while she is ahead and not near: a start, but it knows nothing of walls."""
+    """Turn to the person, drive while they are ahead and not near: a start, but it knows nothing of walls."""
     distance, to_the_right = observation["humanoid_gps"].T
     forward = np.where((distance > 1.5) & (np.abs(to_the_right) < 1.0), 1.0, 0.0)
     return np.stack([forward, np.clip(-4 * to_the_right, -1, 1)], axis=-1).astype(np.float32)
@@ -23,4 +23,4 @@ for _ in range(600):
     found |= info["found"]
     collisions, ended = collisions + terminated.sum(), ended + (terminated | truncated).sum()
 print(f"{WORLDS} worlds x 600 steps: {ended} episodes ended, {collisions} of them by touching the person")
-print(f"{found.mean():.0%} of the worlds found her; reward per step {returns.mean() / 600:.2f}")
+print(f"{found.mean():.0%} of the worlds found the person; reward per step {returns.mean() / 600:.2f}")

@@ -1,6 +1,6 @@
 """A person under control, at three levels: joints (`Person.set_pose`), a hand's target (`Person.reach_to`), and skills.
 
-Skills are generators. Each ``next`` is one step of 1/30 s, after which the person's pose and the objects in her hands hold the
+Skills are generators. Each ``next`` is one step of 1/30 s, after which the person's pose and the objects in the hands hold the
 new moment; the generator's return value is a `SkillResult`. `run` plays one to its end and keeps the frames:
 
 ```python

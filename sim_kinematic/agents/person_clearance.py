@@ -1,6 +1,6 @@
-"""Room to reach: whether a person who stands somewhere gets her hand to a point without her body in the walls or furniture.
+"""Room to reach: whether a person who stands somewhere gets a hand to a point without the body in the walls or furniture.
 
-Her collision capsules are posed along the way of her hand (`Person.hand_way`) and asked of FCL against the static scene,
+The collision capsules are posed along the hand's path (`Person.hand_way`) and asked of FCL against the static scene,
 thinner by `TOLERANCE_M`: what then touches is deeper than that.
 """
 
@@ -82,7 +82,7 @@ class ReachRoom:
         )
 
     def _capsules(self, base: Array, point: Array, hand: Hand) -> NDArray[np.floating]:
-        """Frames of the capsules on a hand's ways there, empty and full, in her root frame, [T, C, 4, 4]; last at the point.
+        """Frames of the capsules on a hand's ways there, empty and full, in the root frame, [T, C, 4, 4]; last at the point.
 
         Stands on one ring round the point share them.
         """

@@ -32,7 +32,7 @@ REACH_MARGIN_M = 0.05
 
 
 class RobotHumanContact:
-    """Contact between a robot that keeps its posture (collision shapes of its links) and a person who plays clips (her
+    """Contact between a robot that keeps its posture (collision shapes of its links) and a person who plays clips (their
     18 capsules)."""
 
     def __init__(self, robot: Robot, human: Humanoid, posture: ArrayLike | None = None) -> None:
@@ -49,7 +49,7 @@ class RobotHumanContact:
         self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: int, phase: float, blend: float,
         arms: tuple[float, float] = (0.0, 0.0),
     ) -> bool:  # fmt: skip
-        """Whether they touch: base poses [7], the frame of the clip that the person plays, and how far her arms are drawn
+        """Whether they touch: base poses [7], the frame of the clip that the person plays, and how far their arms are drawn
         in."""
         at = np.array([clip]), np.array([phase]), np.array([blend]), np.array([arms])
         return bool(self.touching_many(robot_base[None], human_base[None], *at)[0])
@@ -131,7 +131,7 @@ def robot_span(robot: Robot) -> float:
 
 @lru_cache(maxsize=32)
 def clip_reach(human: Humanoid) -> float:
-    """Farthest that the person's capsules get from her root along the floor in any of her clips [m]."""
+    """Farthest that the person's capsules get from the root along the floor in any of the clips [m]."""
     clip, phase, blend = (
         grid.ravel()
         for grid in np.meshgrid(np.arange(len(human.clips)), np.arange(32) / 32, [0.0, 0.5, 1.0], indexing="ij")
@@ -145,7 +145,7 @@ def _clip_capsules(
     human: Humanoid, clip: NDArray, phase: NDArray, blend: NDArray, base: NDArray[np.floating] = IDENTITY_POSE[None],
     arms: NDArray | None = None,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, her root at ``base`` [T or 1, 7]."""
+    """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, the root at ``base`` [T or 1, 7]."""
     return human.capsules_world(human.joint_matrices(base, *human.clip_pose(clip, phase, blend, arms=arms)))
 
 

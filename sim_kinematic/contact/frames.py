@@ -36,7 +36,7 @@ def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
 def body_frames(body: Body, state: AgentState, floor_y: float = 0.0, *, speed_mps: float | None = None) -> Array:
     """World frames of a robot's links [W, L, 4, 4], or of a person's joints [W, 55, 4, 4].
 
-    A robot without joints in the state is at rest. A person plays her clip for ``speed_mps`` (default: `WalkerSpec`'s).
+    A robot without joints in the state is at rest. A person plays their clip for ``speed_mps`` (default: `WalkerSpec`'s).
     """
     base = ground_pose(state.xz, state.heading, floor_y)
     if isinstance(body, Robot) and isinstance(state, RobotState):

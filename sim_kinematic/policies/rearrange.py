@@ -35,7 +35,7 @@ REPLAN_STEPS = 15
 IN_REACH_M = 0.9
 """Who stands this near to an object may be about to take it."""
 STRAIGHT_ON_STEPS = 10
-"""Over so many steps the person's motion tells where she is going."""
+"""Over so many steps the person's motion tells where they are going."""
 
 
 class HighLevelPolicy(Protocol):
@@ -126,7 +126,7 @@ def _way(view: RearrangeView, start: NDArray, k: int) -> float:
 
 
 def persons_object(view: RearrangeView) -> int:
-    """The object that the person holds, goes for (by her motion in the last steps) or stands at; -1: nothing tells."""
+    """The object that the person holds, goes for (by their motion in the last steps) or stands at; -1: nothing tells."""
     held = np.flatnonzero(np.isin(view.held_by, (NOBODY, view.agent), invert=True))
     if len(held):
         return int(held[0])
@@ -135,7 +135,7 @@ def persons_object(view: RearrangeView) -> int:
     moved = float(np.hypot(*(view.other_xz - before)))
     if not left:
         return -1
-    if moved < 0.1:  # she stands: perhaps she is about to take what is before her
+    if moved < 0.1:  # they stand: perhaps about to take what is before them
         gaps = [float(np.hypot(*(view.objects[k, [0, 2]] - view.other_xz))) for k in left]
         return left[int(np.argmin(gaps))] if min(gaps) < IN_REACH_M else -1
     gain = [_way(view, before, k) - _way(view, view.other_xz, k) for k in left]
@@ -144,14 +144,14 @@ def persons_object(view: RearrangeView) -> int:
 
 
 def _complement(view: RearrangeView, left: list[int]) -> int | None:
-    """What the person does not go for. As long as nobody knows, the one that is farther from her than from the robot."""
+    """What the person does not go for. As long as nobody knows, the one that is farther from the person than from the robot."""
     if np.isnan(view.other_xz).any():
         return _nearest(view, left)
-    hers = persons_object(view)
-    others = [k for k in left if k != hers]
+    theirs = persons_object(view)
+    others = [k for k in left if k != theirs]
     if not others:
-        return _nearest(view, left) if hers < 0 or (view.held_by[hers] == NOBODY and not _moves(view)) else None
-    if hers >= 0:
+        return _nearest(view, left) if theirs < 0 or (view.held_by[theirs] == NOBODY and not _moves(view)) else None
+    if theirs >= 0:
         return _nearest(view, others)
     return max(others, key=lambda k: _way(view, view.other_xz, k) - _way(view, view.xz, k))
 

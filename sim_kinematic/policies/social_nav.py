@@ -39,7 +39,7 @@ TURN_COST_M = 0.5
 ROOM_COST = 8.0
 """and a metre of lacking room."""
 REACH_M = 2.0
-"""So near to the person the robot may find her; farther away she is not heeded before she is found."""
+"""So near to the person the robot may find them; farther away they are not heeded before they are found."""
 SAMPLES = 24
 """Commands that the sampling expert draws at every step."""
 
@@ -73,17 +73,17 @@ def next_waypoint(view: SocialNavView, spec: BaseSpec) -> NDArray[np.float64]:
 
 
 def _expected_walk(view: SocialNavView) -> NDArray[np.float64]:
-    """Where the person will be in the next `ESCAPE_STEPS` steps if she goes on as in the last one."""
+    """Where the person will be in the next `ESCAPE_STEPS` steps if they go on as in the last one."""
     velocity = np.zeros(2) if view.human_before is None else (view.human_xz - view.human_before) / STEP_S
     return straight_walk(view.free, view.human_xz, velocity, ESCAPE_STEPS)
 
 
 def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The paper's expert: shortest path to the person when farther than 1.5 m, back away from her inside.
+    """The paper's expert: shortest path to the person when farther than 1.5 m, back away from them inside.
 
     Its code was never published (spec/habitat.md 1.8). It approaches in the way, forwards or backwards, that shortens the
-    path most, and restores 1.5 m at the smallest speed that does. Where she would walk into it, it backs away in the bend
-    that leaves most room. Of her it knows where she is and was a step ago.
+    path most, and restores 1.5 m at the smallest speed that does. Where the person would walk into it, it backs away in the
+    bend that leaves most room. Of the person it knows where they are and were a step ago.
     """
     gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
     return _approach(view, spec, view.human_xz, gap) if gap > 0 else _back_up(view, spec, gap)
@@ -91,7 +91,7 @@ def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 def plain_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """The paper's two rules and no more: it drives at the next corner of the shortest path, and backs straight away from
-    her. It tries nothing out and foresees nothing, so she often pins it against a wall."""
+    them. It tries nothing out and foresees nothing, so the person often pins it against a wall."""
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
     gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
@@ -103,7 +103,7 @@ def plain_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def _straight_back(view: SocialNavView, spec: BaseSpec, gap: float) -> tuple[float, float, float]:
-    """Forward and turn command of backing away while she is in front, else of turning to her; the heading error [rad]."""
+    """Forward and turn command of backing away while the person is in front, else of turning; the heading error [rad]."""
     error, turn = _steer(view, view.human_xz, spec)
     return max(gap, -1.0) if abs(error) < np.pi / 3 else 0.0, turn, error
 
@@ -121,7 +121,7 @@ def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], ga
 
 
 def _back_up(view: SocialNavView, spec: BaseSpec, gap: float) -> Velocity:
-    """Away from the person, by ``gap`` steps of way (negative) where she leaves the robot in peace."""
+    """Away from the person, by ``gap`` steps of way (negative) where they leave the robot in peace."""
     backward, turn, error = _straight_back(view, spec, gap)
     straight = np.array([(backward, turn, _steps_to_turn(error, spec), 0.0)])
     walk = _expected_walk(view)
@@ -146,11 +146,11 @@ def _way_left(
 
 
 def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Draws commands, tries each beside the person as she will walk on, and takes the best: the way to 1.5 m from her,
-    facing her, with room between both.
+    """Draws commands, tries each beside the person as they will walk on, and takes the best: the way to 1.5 m from them,
+    facing them, with room between both.
 
-    One that draws way points without foreseeing her walk collides more than plain backing (75 % of episodes, a draft of the
-    paper's appendix says): it drives to where she is going.
+    One that draws way points without foreseeing their walk collides more than plain backing (75 % of episodes, a draft of the
+    paper's appendix says): it drives to where they are going.
     """
     if not view.met and view.geodesic_m > REACH_M:
         return _approach(view, spec, view.human_xz)
@@ -158,10 +158,10 @@ def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The sampling expert that knows the person's whole future: goes to where she can first be met, and gives way in time.
+    """The sampling expert that knows the person's whole future: goes to where they can first be met, and gives way in time.
 
     Raises:
-        InputError: nobody knows her future: she does not follow the script of an episode.
+        InputError: nobody knows their future: they do not follow the script of an episode.
     """
     if view.future is None:
         raise InputError("future_oracle needs the person's future, known of scripted and recorded people alone.")
@@ -173,7 +173,7 @@ def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def _meeting(view: SocialNavView, spec: BaseSpec, future: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The first place [2] on her way to which the robot comes near before she has left it; where she is, if there is none."""
+    """The first place [2] on the person's path that the robot can reach before they have left it; else where they are."""
     soonest = np.arange(1, len(future) + 1) * (spec.max_speed_mps * STEP_S) + REACH_M
     in_time = view.free.geodesic(np.broadcast_to(view.robot_xz, future.shape), future) <= soonest
     return future[np.argmax(in_time)] if in_time.any() else view.human_xz

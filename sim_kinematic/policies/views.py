@@ -71,7 +71,7 @@ class SocialNavView(NamedTuple):
     human_before: NDArray[np.float64] | None = None
     """Where the person was before the last step; None at the start."""
     future: Callable[[], NDArray[np.float64]] | None = None
-    """Where she will be after this step and each later one [K, 2]: for `future_oracle` alone. None: nobody knows."""
+    """Where the person will be after this step and each later one [K, 2]: for `future_oracle` alone. None: nobody knows."""
 
 
 class RearrangeView(NamedTuple):

@@ -44,7 +44,7 @@ class Limits(NamedTuple):
 
 def picture_names(body: Body) -> tuple[str, ...]:
     """``CAMERA_depth`` and ``CAMERA_rgb`` of each camera ``robot_CAMERA`` of a robot, and `DETECTORS` if its arm has one; of a
-    person ``head_depth`` and ``head_rgb``, her own view."""
+    person ``head_depth`` and ``head_rgb``, their own view."""
     if isinstance(body, Humanoid):
         return ("head_depth", "head_rgb")
     cameras = [c.name.removeprefix(PREFIX) for c in body.cameras if not c.name.endswith("_rgb")]

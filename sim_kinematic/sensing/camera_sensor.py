@@ -45,7 +45,7 @@ class _Drawn:
     body: Body
     instances: list[int]
     meshes: list[int]
-    """Of a person: her full and her light mesh, of which each world shows one; as bones, one per capsule."""
+    """Of a person: the full and the light mesh, of which each world shows one; as bones, one per capsule."""
 
 
 class StateRenderer:
@@ -149,7 +149,7 @@ class StateRenderer:
             if isinstance(drawn.body, Robot):
                 rigid = own[:, [k for k, link in enumerate(drawn.body.links) if link.mesh is not None]]
             elif self._skinned:
-                continue  # when her pictures are taken: how far the cameras are decides the mesh
+                continue  # when the pictures are taken: how far the cameras are decides the mesh
             else:
                 rigid = shape_frames(drawn.body, own)
             for w in range(self.worlds):
@@ -171,7 +171,7 @@ class StateRenderer:
         return self._frames[agent]
 
     def cameras(self, name: str = "", *, agent: int = 0, size: tuple[int, int] | None = None) -> list[Camera]:
-        """A camera of an agent in all worlds, as last posed: a robot's by ``name``, a person's between her eyes.
+        """A camera of an agent in all worlds, as last posed: a robot's by ``name``, a person's between the eyes.
 
         ``size``: width and height [pixels] instead of the camera's own; its field of view stays.
         """

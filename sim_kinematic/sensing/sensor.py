@@ -27,7 +27,7 @@ Floats = NDArray[np.floating]
 HUMAN_ID = 100
 """Semantic id of people, in Habitat and in our recordings."""
 DETECTED_PIXELS = 1000
-"""A person is detected in a picture if more pixels than this show her (spec/habitat.md 1.5)."""
+"""A person is detected in a picture if more pixels than this show them (spec/habitat.md 1.5)."""
 DEPTH_RANGE_M = (0.0, 10.0)
 """Observed depth is clipped to this range and scaled to 0..1 (spec/habitat.md 1.1, 1.5)."""
 FAR_M = 1000.0

@@ -45,8 +45,8 @@ class TensorCameras:
         Args:
             scene: The home; all worlds share it.
             robot: Keeps its resting posture.
-            human: Is drawn with her full mesh.
-            walker: Which clip she plays.
+            human: Is drawn with the full mesh.
+            walker: Which clip the person plays.
             worlds: W.
             floor_y: Height of the floor [m].
             views: Whose pictures are taken in every world.
@@ -118,7 +118,7 @@ class TensorCameras:
         return {name: t.unflatten(0, (len(self.views), self.worlds)) for name, t in pictures.items()}
 
     def _frames_of(self, robot: RobotTensors, human: HumanTensors) -> tuple[Tensor, Tensor]:
-        """World matrices of the robot's links and its camera [W, N + 1, 3, 4], of her joints and her eyes [W, 56, 3, 4]."""
+        """World matrices of the robot's links and camera [W, N + 1, 3, 4], of the person's joints and eyes [W, 56, 3, 4]."""
         parts = _placed(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
         posture = self._cycle.look_up(self._person, HumanTensors(*(t.float() for t in human)))
         return parts, _placed(posture, human.xz.float(), human.heading.float(), self._floor_y)

@@ -1,8 +1,8 @@
-"""Does the resting robot touch the walking person? By tensors alone: her capsules as balls in the robot's distance field.
+"""Whether the resting robot touches the walking person, by tensors alone: capsules as balls in the robot's distance field.
 
 `sim_kinematic.contact.clearance.RobotHumanContact` (FCL on the exact shapes) is the truth; this differs from it only
 where the two are
-within `TOLERANCE_M` of touching (tests/sim/torch/test_social_nav.py), and where she draws her arms in: here they always swing.
+within `TOLERANCE_M` of touching (tests/sim/torch/test_social_nav.py), and where arms are drawn in: here they always swing.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class TouchTest:
     """Numbers of cubes, less one, [3]."""
     strides: tuple[int, int]
     balls: Tensor
-    """Centres in the frame of her root, a row for each of her postures, [rows, S, 3] [m]."""
+    """Centres in the frame of the root, a row for each posture, [rows, S, 3] [m]."""
     radii: Tensor
     """[S] [m]."""
     cycle: WalkingCycle
@@ -107,7 +107,7 @@ class TouchTest:
 
 
 def _balls(cycle: WalkingCycle) -> tuple[Array, Array]:
-    """Centres [rows, S, 3] in her root's frame and radii [S] of balls along her capsules."""
+    """Centres [rows, S, 3] in the root's frame and radii [S] of balls along the capsules."""
     start, end, radius = cycle.human.capsules_world(cycle.joint_matrices())
     length = np.linalg.norm(end - start, axis=-1).max(0)
     apart = 2 * np.sqrt(2 * radius * SCALLOP_M)  # of balls whose union is thinner than the capsule by that much

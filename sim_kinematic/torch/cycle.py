@@ -1,4 +1,4 @@
-"""The person's walking cycle as a table on a device: what is fixed to her body, by phase and blend."""
+"""The person's walking cycle as a table on a device: what is fixed to the body, by phase and blend."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.torch.state import HumanTensors
 
 PHASES = 128
-"""Parts of her cycle; within each, things move straight. From one to the next they may jump: while she sets off or stops, her
-posture does, where a foot comes down (`h3data.bodies.people.kernels.legs.settle`)."""
+"""Parts of the cycle; within each, things move straight. From one to the next they may jump: while the person sets off or
+stops, the posture does, where a foot comes down (`h3data.bodies.people.kernels.legs.settle`)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +26,7 @@ class WalkingCycle:
     human: Humanoid
     clip: int
     blends: int
-    """Blends in the tables: those that she goes through while she sets off and stops."""
+    """Blends in the tables: those that a person goes through while setting off and stopping."""
 
     @classmethod
     def of(cls, human: Humanoid, walker: WalkerSpec) -> WalkingCycle:
@@ -35,7 +35,7 @@ class WalkingCycle:
         return cls(human=human, clip=clip, blends=math.ceil(walker.blend_s / STEP_S - 1e-9) + 1)
 
     def joint_matrices(self) -> Array:
-        """Frames of her joints in the frame of her root, one row of a table each: [PHASES * 2 * blends, 55, 4, 4]."""
+        """Frames of the joints in the frame of the root, one row of a table each: [PHASES * 2 * blends, 55, 4, 4]."""
         ends = (np.arange(PHASES)[:, None] + (0.0, 1.0 - 1e-9)).ravel() / PHASES
         phase, blend = (g.ravel() for g in np.meshgrid(ends, np.linspace(0, 1, self.blends), indexing="ij"))
         posture = self.human.clip_pose(np.full(phase.size, self.clip), phase, blend)

@@ -96,7 +96,7 @@ def _strides(episode: Episode) -> NDArray[np.float64]:
 
 
 def _way_points(episode: Episode) -> NDArray[np.float64]:
-    """Where she walks [P, 2], at least as far as she can get in an episode. She lands on each way point exactly."""
+    """Where the person walks [P, 2], at least as far as they can get in an episode. They land on each way point exactly."""
     walker = WaypointHuman(episode.free, episode.seed, episode.spec.human, goals_of(episode))
     stride = episode.spec.human.speed_mps * STEP_S
     points = [Starts.of(episode.starts).human_xz]

@@ -3,7 +3,7 @@
 State, actions and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new
 episodes is one CUDA graph. The same episodes with the same actions are those of `SocialNavBatch`, but for what a GPU cannot
 search for: the geodesic distance and where it leads are looked up (`sim_kinematic.torch.geodesic`, lengths mostly within
-0.1 %), contact is right to `sim_kinematic.torch.contact.TOLERANCE_M`; and her arms always swing.
+0.1 %), contact is right to `sim_kinematic.torch.contact.TOLERANCE_M`; and arms always swing.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Play(NamedTuple):
     episode: Tensor
     """Number in the bank, int64 [W]."""
     leg: Tensor
-    """Number of the way point that she walks to, int64 [W]."""
+    """Number of the way point that the person walks to, int64 [W]."""
     steps: Tensor
     """Steps of the episode so far, int64 [W]."""
     ended: Tensor
@@ -53,7 +53,7 @@ class Play(NamedTuple):
     found: Tensor
     """The robot has found the person in this episode, bool [W]."""
     followed: Tensor
-    """Steps in which it followed her, int64 [W]."""
+    """Steps in which it followed the person, int64 [W]."""
     geodesic: Tensor
     """Shortest way between the two [W] [m], inf where there is none."""
     towards: Tensor

@@ -39,7 +39,7 @@ def test_random_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
 
 def test_vector_env(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "vector_env.py"))
-    assert "% of the worlds found her" in capsys.readouterr().out
+    assert "% of the worlds found the person" in capsys.readouterr().out
 
 
 def test_environment_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

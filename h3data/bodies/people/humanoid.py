@@ -95,7 +95,7 @@ class Humanoid:
     region_names: tuple[str, ...]
     capsules: tuple[BodyCapsule, ...]
     gaits: Gaits
-    """How she walks; `clips` are sampled from it."""
+    """The gait; `clips` are sampled from it."""
     phenotype: Mapping[str, float] = field(default_factory=dict)
     """The shape parameters from which the body was baked."""
 

@@ -1,4 +1,4 @@
-"""Reaching: where a person must be, and how she stands, so that her hand is at a point.
+"""Reaching: where a person must be, and how they stand, so that a hand is at a point.
 
 One table of trunk postures over a box of targets, in units of the standing shoulder's height, serves all bodies and, mirrored,
 both hands; legs and arm follow in closed form, so the hand is exactly at the target and the feet stay where they are. Every

@@ -1,10 +1,9 @@
-"""Feet of a person who turns on the spot: recordings hold her root, which turns rigidly; here her feet step round with it.
+"""Feet of a person who turns on the spot: recordings hold the root, which turns rigidly; here the feet step round with it.
 
-Her motion columns say when she comes from walking to standing (`h3data.bodies.people.kernels.legs.settle`): each foot
-goes to its standing
-place, one after the other. The foot that stands meanwhile is kept where it is in the world, and one that lands does so turned
-towards where she will look. Then they go on by turns, until she stands straight again. As in `h3data.bodies.robots.trot` whole
-recordings are looked at, so any step can be posed alone.
+The motion columns say when the person comes from walking to standing (`h3data.bodies.people.kernels.legs.settle`): each foot
+goes to its standing place, one after the other. The foot that stands meanwhile is kept where it is in the world, and one that
+lands does so turned towards where the person will look. Then they go on by turns, until the person is straight again. As in
+`h3data.bodies.robots.trot` whole recordings are looked at, so any step can be posed alone.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ SWING_STEPS, LIFT_M = 5, 0.05
 FEWEST_STEPS = 2
 """A foot is not set anew in fewer steps."""
 RELEASE_STEPS = 4
-"""Over so many steps a foot that still stands turned gets straight when she walks off."""
+"""Over so many steps a foot that still stands turned is put straight when the person walks off."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TurningFeet:
-    """How much the feet differ from those of the motion clips, while she turns on the spot."""
+    """How much the feet differ from those of the motion clips, while the person turns on the spot."""
 
     yaw: Array
     """Turn of each foot to the left about the root, shape [T, 2] [rad]."""
@@ -65,7 +64,7 @@ def turning_feet(base: ArrayLike, phase: ArrayLike, blend: ArrayLike) -> Turning
         return TurningFeet(yaw=yaw, lift=lift)
     turn = wrap_angle(np.diff(heading_from_quat(base[:, 3:])))
     heading = np.concatenate([[0.0], np.cumsum(np.nan_to_num(turn))])
-    rests = np.hypot(*np.diff(base[:, [0, 2]], axis=0).T) < MOVED_M  # not where she is not there (NaN)
+    rests = np.hypot(*np.diff(base[:, [0, 2]], axis=0).T) < MOVED_M  # not where the person is absent (NaN)
     for before, last in runs(rests):  # of steps between: the root is at one place from `before` to `last`
         turns = [(a + before, b + before) for a, b in runs(np.abs(np.diff(heading[before : last + 1])) > TURNED_RAD)]
         if not turns:
@@ -93,7 +92,7 @@ def turning_feet(base: ArrayLike, phase: ArrayLike, blend: ArrayLike) -> Turning
 
 
 def _settling(phase: Array, blend: Array, before: int, last: int) -> list[_Swing]:
-    """The swings by which she comes from walking to standing between two steps, as
+    """The swings by which the person comes from walking to standing between two steps, as
     `h3data.bodies.people.kernels.legs.settle` has them."""
     b = blend[before : last + 1]
     swings = []
@@ -107,7 +106,7 @@ def _settling(phase: Array, blend: Array, before: int, last: int) -> list[_Swing
 
 
 def _stepping(start: int, end: int, free: int, last_foot: int) -> list[_Swing]:
-    """Swings of both feet by turns while she turns on the spot until ``end``; who stands on until ``free`` may end later.
+    """Swings of both feet in turn while the person turns on the spot until ``end``; who stands on until ``free`` may end later.
 
     The right foot is the last one: a walk begins with the left foot on the floor.
     """

@@ -28,7 +28,7 @@ STEPS, UNTIMED = 300, 10
 """Steps of a run, and how many of the first are not timed."""
 ROBOT, HUMAN, HOME_SEED = "quad_arm", "female_0", 1
 CAMERA, HFOV_DEG = "robot_arm", 90.0
-"""A robot looks from its arm, a person from between her eyes: square pictures."""
+"""A robot looks from its arm, a person from between the eyes: square pictures."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,7 +46,7 @@ LIFT_M = 0.001
 HANDLING_S = 4.5
 """What a person is taken to need for one object, beside walking and turning."""
 STANDS_WITHIN_M = 1.0
-"""A person stands nearer than this to what she takes or puts down."""
+"""A person stands nearer than this to what they take or put down."""
 SNAP_M = 2.0
 """The floor is at most this far from the middle of a surface."""
 SPARE = 0.98
@@ -352,7 +352,7 @@ class _Draw:
         return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
 
     def _person_stand(self, point: Array, here: Array | None = None) -> tuple[Array | None, float]:
-        """A stand [3] from which the person's hand gets to a point [3] while her body keeps out of the home, the nearest to
+        """A stand [3] from which the person's hand gets to a point [3] while the body keeps out of the home, the nearest to
         ``here`` [2], and the way to it [m]; None and infinity where there is none."""
         at = tuple(point.tolist())
         stands = self._stands.get(at)

@@ -16,7 +16,7 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
 
 THERE_M = 0.01
-"""She takes an object that lies this near to where it lay when she took it."""
+"""The person takes an object that lies this near to where it lay in the recording [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,7 +30,7 @@ class KeptTrack:
     joints: Array
     """Local rotations of the other joints, [T, 54, 4]."""
     held: NDArray[np.integer]
-    """Index of the object in her hand, -1 = nothing, [T]."""
+    """Index of the object in the hand, -1 = nothing, [T]."""
     objects: Array
     """pose7 of the task's objects, [T, K, 7]."""
 
@@ -39,7 +39,7 @@ class KeptTrack:
         """The track of an agent; ``bodies`` [K + 1] are the objects' bodies, and -1.
 
         Raises:
-            InputError: her body was not recorded at every step.
+            InputError: the body was not recorded at every step.
         """
         names = [f"agent_{number}.{name}" for name in ("base_pose", "root_pose", "joint_quat", "grasp_body")]
         lacks = [name for name in (*names, "object_pose") if name not in recording.columns]
@@ -62,7 +62,7 @@ class KeptTrack:
 
 
 def follow_track(play: RearrangePlay, actor: PersonActor, track: KeptTrack, step: int) -> None:
-    """From ``step`` on, a person does nothing but follow a track to its end; nobody is asked for her."""
+    """From ``step`` on, a person does nothing but follow a track to its end; no policy is asked."""
     if len(play.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
         play.right_of_way = None
         for other in play.actors:

@@ -1,4 +1,4 @@
-"""The oracle of SPS and F: the fewest steps in which a robot that knows the person's future could find her."""
+"""The oracle of SPS and F: the fewest steps in which a robot that knows the person's future could find them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def oracle_min_steps(
 ) -> int | None:
     """``l``: the first i with ``r_i < i`` along the human's ``track`` [E, 2], tested at every step (paper appendix).
 
-    ``track[k]`` is where she is after step ``k + 1``. None if she cannot be found within the track.
+    ``track[k]`` is where the person is after step ``k + 1``. None if they cannot be found within the track.
     """
     for i, place in enumerate(track, start=1):
         path = free.path(robot_xz, place)

@@ -55,6 +55,6 @@ def is_free(held_by: ArrayLike) -> Flags:
 
 
 def is_found(geodesic_m: ArrayLike, facing_dot: ArrayLike, spec: SocialNavSpec) -> Flags:
-    """Whether the robot has the person at the right distance and faces her, [...] (paper section 4.1)."""
+    """Whether the robot has the person at the right distance and faces them, [...] (paper section 4.1)."""
     distance = np.asarray(geodesic_m)
     return (distance >= spec.near_m) & (distance <= spec.far_m) & (np.asarray(facing_dot) > spec.facing_dot)

@@ -62,7 +62,7 @@ class RewardStep(NamedTuple):
 
     reward: NDArray[np.float64]
     success: NDArray[np.bool_]
-    """She has been followed long enough. It stays true."""
+    """The person has been followed long enough. It stays true."""
     ends: NDArray[np.bool_]
     """The rules end the episode: a collision."""
 
