@@ -64,6 +64,13 @@ class Stride(NamedTuple):
     """[W] [rad]."""
 
 
+class Pace(NamedTuple):
+    """Where people get in this step and how far in their walking cycle, worked out by somebody else."""
+
+    gait: HumanState
+    """W worlds."""
+
+
 class Keep(NamedTuple):
     """Where people are, whatever the world thinks of it: the next moment of a recorded track."""
 
@@ -87,7 +94,7 @@ class Posture(NamedTuple):
     """How far the left and the right arm are tucked in, 0..1, [W, 2]."""
 
 
-Command = Drive | WalkTo | Stride | Keep
+Command = Drive | WalkTo | Stride | Pace | Keep
 
 
 class World:
@@ -190,6 +197,10 @@ class World:
             for k, (own, command) in enumerate(zip(part.agents, commands, strict=True)):
                 if isinstance(command, Keep):
                     continue
+                if isinstance(command, Pace):
+                    assert isinstance(own, HumanState)
+                    own.put(slice(None), command.gait.take(at))
+                    continue
                 values = command[0][at]
                 if isinstance(own, RobotState):
                     drive_robots(own, free, values, self.bases[k])
@@ -241,7 +252,7 @@ class World:
             raise InputError(f"Expected one command for each of {len(self.roster)} agents, got {len(commands)}.")
         checked: list[Command] = []
         for member, command, base in zip(self.roster, commands, self.bases, strict=True):
-            if isinstance(command, Keep):
+            if isinstance(command, Keep | Pace):
                 checked.append(command)
                 continue
             values = np.asarray(command[0], np.float64)

@@ -1,4 +1,4 @@
-"""What the agents of rearrangement see of each other, and which of them touch."""
+"""What the agents of one world see of each other, and which of them touch."""
 
 from __future__ import annotations
 
@@ -54,6 +54,8 @@ class AgentContactTracker:
         self._reach_m = [AVOIDANCE.contact_gate_m / 2 + max(extra, 0.0) for extra in longer]
         self._posed: set[int] = set()
         self._gated: set[int] = set()
+        self._acted: set[int] = set()
+        """Agents that have acted in this step."""
         self._settled: set[int] = set()
 
     @cached_property
@@ -88,8 +90,7 @@ class AgentContactTracker:
         seen = []
         for other in self._avoided[me.number]:
             track = self.track(other.number)
-            # people act first, then robots, each in the order of their numbers
-            moved = (not other.is_robot and me.is_robot) or (other.is_robot == me.is_robot and other.number < me.number)
+            moved = other.number in self._acted
             now = other.xz.copy() if moved else track[-1]
             first = max(len(track) - AVOIDANCE.velocity_steps - (not moved), 0)
             steps = len(track) - first - (not moved)
@@ -105,6 +106,10 @@ class AgentContactTracker:
 
     def moved(self, number: int) -> None:
         """Notes that an agent has acted and is somewhere else."""
+        self._acted.add(number)
+        self._forget_posture(number)
+
+    def _forget_posture(self, number: int) -> None:
         self._posed.discard(number)
         self._gated.discard(number)
 
@@ -117,9 +122,9 @@ class AgentContactTracker:
         ]  # fmt: skip
         if not near:
             return False
-        self.moved(me.number)
+        self._forget_posture(me.number)
         met = [other.number for other in near if self._touch(*sorted((me.number, other.number)))]
-        self.moved(me.number)
+        self._forget_posture(me.number)
         me.hindered_by |= frozenset(met)
         return bool(met)
 
@@ -128,6 +133,7 @@ class AgentContactTracker:
         if self._moments == self._places.shape[1]:
             self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
         self._moments += 1
+        self._acted.clear()
         for actor in self.actors:
             track = self.track(actor.number)
             track[-1] = actor.xz

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ from sim_kinematic.motion.stride import CREEP_MPS, Strider
 
 TURN_PATIENCE_STEPS = 10
 """Steps for which a person waits for room to turn on the spot; after them they turn while walking."""
+BACK_AFTER_STEPS, BACK_STEPS = 20, 15
+"""Who cannot step aside for this long, because any step would touch somebody, first goes back this many steps."""
 HANDS: tuple[Hand, ...] = ("right", "left")
 """In the order in which a person tries them."""
 
@@ -75,6 +78,10 @@ class PersonActor:
 
     def __post_init__(self) -> None:
         self._gait = HumanState.zeros(1)
+        self._trail: deque[Any] = deque(maxlen=BACK_STEPS)
+        """Postures before the last steps of a walk."""
+        self._held_up = 0
+        """Steps since the last one that was not stopped by others."""
 
     @property
     def is_robot(self) -> bool:
@@ -114,6 +121,7 @@ class PersonActor:
 
     def start(self, action: Action) -> Skill:
         k = action.target
+        self._trail.clear()
         if action.skill not in ("pick", "place"):
             self.person.look_at = None
         if action.skill == "wait":
@@ -236,6 +244,7 @@ class PersonActor:
             self._take(before)
             self._pace(None)
             return
+        self._walked(before)
         self._follow()
 
     def _path(self, goal: NDArray) -> NDArray[np.float64]:
@@ -245,12 +254,33 @@ class PersonActor:
     def _stand(self) -> None:
         """One step of standing, or of stepping aside."""
         if self.aside is not None and len(self.aside):
+            if self._backs_out():
+                return
             blocked = in_the_way(self.xz, self.aside[0], self.others) is not None
             self._pace(None if blocked else self.aside[0])
         elif self._gait.blend[0] > 0 or not self.person.walk.stands:
             self._pace(None)
         else:
             self._breathe()
+
+    def _backs_out(self) -> bool:
+        """Goes one step back where others have kept them from stepping aside for long; returns whether it did."""
+        if self._held_up < BACK_AFTER_STEPS or not self._trail:
+            return False
+        now = self._posture()
+        self._take(self._trail.pop())
+        if self.meets():
+            self._take(now)
+            self._trail.clear()
+        if not self._trail:
+            self._held_up = 0
+        self._follow()
+        return True
+
+    def _walked(self, before: Any) -> None:
+        """Notes a step of walking that nobody has stopped, and the posture before it."""
+        self._trail.append(before)
+        self._held_up = 0
 
     def _breathe(self) -> None:
         """One step of standing still, from which nobody is hit who was not hit before."""
@@ -269,7 +299,10 @@ class PersonActor:
             walk_humans(gait, target[None], spec)
             person.stride(gait)
             if not self.meets():
+                if gait.xz[0].tolist() != stopped.xz[0].tolist():
+                    self._walked(before)
                 break
+            self._held_up += 1
             self._gait = gait = stopped.take([0])
             self._take(before)
         self._follow()
@@ -287,6 +320,7 @@ class PersonActor:
         """Do a motion, each step of it as soon as nobody is where it leads; after so many steps in which somebody was, take
         back what was done of it, if nothing has come into their hands."""
         before, done, holding = self._posture(), [], tuple(self.person.held)
+        self._trail.clear()
         while True:
             try:
                 next(motion)

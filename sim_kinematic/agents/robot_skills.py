@@ -87,7 +87,7 @@ class RobotActor:
     """Joint positions towards which the arm moves in every step [J]."""
 
     def __post_init__(self) -> None:
-        self._arm = np.array(self.robot.require_arm())
+        self._arm = np.array(self.robot.arm_columns, np.intp)
         self.state: RobotState = self.objects.state.robots[self.number]
         """Its own part of the state of one world."""
         self.arm_goal = self.robot.rest.copy()
@@ -250,7 +250,21 @@ class RobotActor:
         if not np.isfinite(left):
             gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
             return Ending("failed", "no_room" if gets_there else "no_way")
-        goal, best, since, detours = stands[k, :2], np.inf, 0, 0
+        goal = stands[k, :2]
+        ending = yield from self.drive_to(goal, facing=point[[0, 2]])
+        if ending.outcome == "failed" and self.base.maneuvers:
+            self._gave_up.append(goal.copy())
+        return ending
+
+    def drive_to(self, goal: NDArray, *, facing: NDArray | None = None, within_m: float = ARRIVED_M) -> Skill:
+        """Drives to within a distance of a floor point [2] and, there, turns until the hand points at ``facing`` [2].
+
+        The base gives way, backs out of narrow places and goes around whoever stands in its path; it fails, ``stuck``, after
+        `STUCK_STEPS` without getting on.
+        """
+        reach = 0.0 if facing is None else reach_bearing(self.robot)
+        bearing = None if facing is None else heading_to(goal, facing, reach)
+        best, since, detours = np.inf, 0, 0
         via = NO_PATH  # around agents that stand in the way
         tried, is_near = 0, False
         while since <= STUCK_STEPS:
@@ -261,7 +275,7 @@ class RobotActor:
                 continue
             if since and since % AVOIDANCE.maneuver_after_steps == 0 and tried < AVOIDANCE.maneuvers:
                 tried += 1
-                if (yield from self._maneuver(goal, heading_to(goal, point[[0, 2]], reach_bearing(self.robot)))):
+                if (yield from self._maneuver(goal, bearing)):
                     best, since, via, is_near = np.inf, 0, NO_PATH, self._leg(goal)[0] <= NEARLY_M
                     continue
             if since in AVOIDANCE.detour_after_steps and detours < AVOIDANCE.detours and self.others:
@@ -274,8 +288,10 @@ class RobotActor:
                 self._announce(via, goal)
             left, waypoint = self._leg(via[0] if len(via) else goal)
             stalled = since > AVOIDANCE.detour_after_steps[0]
-            if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and (stalled or is_near))):
-                error = self._error_to(point[[0, 2]], reach_bearing(self.robot))
+            if not len(via) and (left <= within_m or (left <= NEARLY_M and (stalled or is_near))):
+                if facing is None:
+                    return Ending("done")
+                error = self._error_to(facing, reach)
                 if abs(error) < FACING_RAD:
                     return Ending("done")
                 self._step(0.0, self._turn(error), goal)
@@ -284,8 +300,6 @@ class RobotActor:
                 self._drive(waypoint, left / self._stride_m)
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
-        if self.base.maneuvers:
-            self._gave_up.append(goal.copy())
         return Ending("failed", "stuck")
 
     def _maneuver(self, goal: NDArray, bearing: float | None = None) -> Generator[None, None, bool]:
@@ -480,7 +494,7 @@ class RobotActor:
         drive_robots(state, self.free, np.array([self.command]), self.base)
         most = self.arm_rad_s * STEP_S
         missing = self.arm_goal[self._arm] - self.joints[self._arm]
-        far = max(map(abs, missing.tolist()))
+        far = max(map(abs, missing.tolist()), default=0.0)
         self.joints[self._arm] = (
             self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + missing * (most / far)
         )

@@ -5,14 +5,13 @@ from the goals that are given.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.randomness import generator
@@ -76,24 +75,20 @@ class WaypointHuman:
         self._row += 1
         return self._track[self._row - 1]
 
-    def careful_stride(
-        self, xz: NDArray[np.float64], heading: float, goes: Callable[[Array], bool]
-    ) -> tuple[Array, float]:
-        """As `stride`, for people who look where they go: they brake unless ``goes(way point)``."""
-        while self.leg >= len(self._path) or self._strides().arrived:
-            self._next_goal(xz)
-        return self._strides().step(xz, heading, goes=goes(self._strides().target))
-
     def _strides(self) -> Strider:
         if self._strider is None:
             self._strider = Strider(self.free, self.spec)
         return self._strider
 
-    def _next_goal(self, position: NDArray[np.float64]) -> None:
+    def next_goal(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The next goal [2] of somebody at ``position`` [2]: given, or sampled at least `MIN_WALK_M` away."""
         self.goal += 1
         goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
         self.goals.append(goal)
-        self._path = walking_path(self.free, position, goal, self.spec)
+        return goal
+
+    def _next_goal(self, position: NDArray[np.float64]) -> None:
+        self._path = walking_path(self.free, position, self.next_goal(position), self.spec)
         self.leg = 1
         if self.spec.stride is not None:
             self._strides().begin(self._path)

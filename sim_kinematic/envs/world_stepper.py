@@ -14,6 +14,7 @@ from h3data.geometry import Array
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
+from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
@@ -23,7 +24,7 @@ from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.play import WorldPlay
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
-from sim_kinematic.world import Command, Drive, Stride, WalkTo
+from sim_kinematic.world import Command, Drive, Pace, Stride, WalkTo
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
@@ -155,6 +156,11 @@ class WorldStepper:
                 self._targets[k][w] = self._walkers[w][k].target(own.xz[w])
             return WalkTo(self._targets[k])
         choices = [self._walkers[w][k].act(self.task.view(self.play, k, w)) for w in range(self.worlds)]
+        if hasattr(choices[0], "gait"):
+            gait = HumanState.zeros(self.worlds)
+            for w, choice in enumerate(choices):
+                gait.put([w], choice.gait)
+            return Pace(gait)
         if hasattr(choices[0], "heading"):
             return Stride(np.array([choice.xz for choice in choices]), np.array([choice.heading for choice in choices]))
         if hasattr(choices[0], "xz"):

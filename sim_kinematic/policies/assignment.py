@@ -29,7 +29,7 @@ def _waypoints(task: Task, episode: Episode, number: int) -> Policy:
 
 
 def _wander(task: Task, episode: Episode, number: int) -> Policy:
-    return WanderPolicy(episode.free, episode_seed(episode.seed, number), episode.spec.human, number)
+    return WanderPolicy(episode.free, episode_seed(episode.seed, number), episode.spec.human)
 
 
 Factory = Callable[[Task, Episode, int], Policy]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import Array
 from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.motion.state import HumanState
 
 
 # --- choices ----------------------------------------------------------------------------------------------------------
@@ -40,6 +41,13 @@ class StrideTo(NamedTuple):
     xz: Array
     """``(x, z)`` [m]."""
     heading: float
+
+
+class PaceTo(NamedTuple):
+    """Where a person is after this step, and how far in their walking cycle."""
+
+    gait: HumanState
+    """One world."""
 
 
 class KeptMoment(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from h3data.scene import FreeSpace
 from sim_kinematic.agents.skills import Action, Ending
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import NOBODY
+
+if TYPE_CHECKING:
+    from sim_kinematic.policies.traffic import Traffic
 
 
 class AgentView(NamedTuple):
@@ -35,6 +38,8 @@ class AgentView(NamedTuple):
     walker: WalkerSpec
     extra: Mapping[str, Any]
     """`Episode.extra`."""
+    traffic: Callable[[], Traffic]
+    """Returns how the agents of this world heed each other, which those that wander share."""
 
     @property
     def xz(self) -> Array:

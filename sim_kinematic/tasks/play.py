@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
+from functools import partial
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -15,11 +16,12 @@ from h3data.recording import STEP_NS, Event, SkillSpan
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.policy import KeptMoment, StrideTo, Towards
+from sim_kinematic.policies.policy import KeptMoment, PaceTo, StrideTo, Towards
+from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.tasks.episode import Episode, Outcome, agent_floor
-from sim_kinematic.world import Command, Drive, Keep, Posture, Stride, WalkTo, World
+from sim_kinematic.world import Command, Drive, Keep, Pace, Posture, Stride, WalkTo, World
 
 Columns = dict[str, NDArray[Any]]
 
@@ -126,6 +128,8 @@ class WorldPlay:
         self._commands: list[Command] = []
         self._words: list[str] = []
         self._checked = False
+        self._traffic: dict[int, Traffic] = {}
+        """By world, where somebody has asked for it."""
 
     # --- W worlds -----------------------------------------------------------------------------------------------------
     def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:
@@ -135,6 +139,7 @@ class WorldPlay:
             self.episodes = list(episodes)
         for w, episode in zip(rows.tolist(), episodes, strict=True):
             self.episodes[w] = episode
+            self._traffic.pop(w, None)
         self.world.place(np.stack([e.starts for e in episodes]), [e.free for e in episodes], rows)
         self.steps[rows] = 0
         self.task.begin(self, rows)
@@ -178,7 +183,14 @@ class WorldPlay:
             self.world.bases,
             self.spec.human,
             episode.extra,
+            partial(self._traffic_of, world),
         )
+
+    def _traffic_of(self, world: int) -> Traffic:
+        if world not in self._traffic:
+            floors = [agent_floor(self.episodes[world], number) for number in range(len(self.world.roster))]
+            self._traffic[world] = Traffic(self.world, world, floors)
+        return self._traffic[world]
 
     # --- one world: Play ----------------------------------------------------------------------------------------------
     @property
@@ -221,6 +233,8 @@ class WorldPlay:
             return WalkTo(choice.xz[None])
         if isinstance(choice, StrideTo):
             return Stride(choice.xz[None], np.array([choice.heading]))
+        if isinstance(choice, PaceTo):
+            return Pace(choice.gait)
         if isinstance(choice, KeptMoment):
             posture = Posture(
                 np.array([choice.clip]), np.array([choice.phase]), np.array([choice.blend]), np.array([choice.arms])

@@ -1,0 +1,192 @@
+"""Agents that move about one world and heed each other.
+
+Paths, right of way, maneuvers and the test for contact are those of rearrangement (`RobotActor`, `PersonActor`, `RightOfWay`,
+`AgentContactTracker`). The agents act on a copy of the world's state, one after the other; the world then makes the same step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.geometry import Array, ground_pose, pose_multiply
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.arm_tuck import draw_arms
+from sim_kinematic.agents.contact_tracker import AgentContactTracker
+from sim_kinematic.agents.person import Frame, Person, SkillResult
+from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.skills import Ending, Objects, Skill
+from sim_kinematic.avoidance.right_of_way import RightOfWay
+from sim_kinematic.contact.frames import walking_phase
+from sim_kinematic.motion.spec import ArmRoomSpec
+from sim_kinematic.motion.state import HumanState, WorldState
+from sim_kinematic.policies.policy import PaceTo, Velocity
+from sim_kinematic.world import World
+
+ARRIVED_M = 0.3
+"""A robot that wanders has reached its goal within this distance."""
+ARM_RAD_S = 8.0
+"""Arms stay folded; whatever has unfolded them, they fold at this speed."""
+
+
+class Rover(RobotActor):
+    """A robot that drives about."""
+
+    def go_to(self, goal: NDArray[np.float64]) -> Skill:
+        """Drives to a floor point [2]."""
+        return self.drive_to(goal, within_m=ARRIVED_M)
+
+    def follow(self, state: WorldState) -> None:
+        """Takes over where the world has the robot; the actor's arrays are views of the copied state."""
+
+    def choice(self) -> Velocity:
+        """The step that the robot has just made."""
+        return Velocity(0.0, 0.0) if self.hindered_by else Velocity(*self.command)
+
+
+class Stroller(PersonActor):
+    """A person who walks about, in the motion clip that the world plays."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.figure = cast("ClipFigure", self.person)
+
+    @property
+    def xz(self) -> NDArray:
+        return self.figure.gait.xz[0].copy()
+
+    @property
+    def heading(self) -> float:
+        return self.figure.gait.heading.item(0)
+
+    def go_to(self, goal: NDArray[np.float64]) -> Skill:
+        """Walks to a floor point [2], or gives up where somebody does not let them pass."""
+        yield from self._walk(goal)
+        return Ending("done")
+
+    def follow(self, state: WorldState) -> None:
+        """Takes over where the world has the person, and how far they are in their walking cycle."""
+        own = state.agents[self.number]
+        assert isinstance(own, HumanState)
+        self._gait = self.figure.gait = own.take([0])
+
+    def choice(self) -> PaceTo:
+        """The step that the person has just made."""
+        return PaceTo(self.figure.gait)
+
+    def _posture(self) -> Any:
+        return self.figure.gait.take([0])
+
+    def _take(self, posture: Any) -> None:
+        self.figure.gait = posture
+
+
+class ClipFigure:
+    """The part of `Person` that walking needs, posed by a motion clip."""
+
+    look_at = None
+
+    def __init__(self, body: Humanoid, clip: int, free: FreeSpace, arms: ArmRoomSpec | None) -> None:
+        self.body, self._clip, self._free, self._arms = body, clip, free, arms
+        self.gait, self.held = HumanState.zeros(1), {}
+        self.stands, self.walk = True, self
+        self._posed: tuple[HumanState, Array, Array] | None = None
+
+    @property
+    def base(self) -> Array:
+        return ground_pose(self.gait.xz[0], self.gait.heading[0], self._free.floor_y)
+
+    @property
+    def quats(self) -> Array:
+        return self._pose()[0]
+
+    @property
+    def pelvis(self) -> Array:
+        return self._pose()[1]
+
+    @property
+    def speed_mps(self) -> float:
+        """People who step aside set off at once: the clip blends."""
+        return np.inf
+
+    def stride(self, gait: HumanState | None = None) -> None:
+        """As `Person.stride`."""
+        if gait is not None:
+            self.gait = gait.take([0])
+            draw_arms(self.gait, self._free, self.body, self._arms)
+
+    def turn(self, heading: float, *, settles: bool = True) -> Generator[None, None, SkillResult]:
+        """As `Person.turn`: `sim_kinematic.motion.gait.walk_humans` turns them before they walk."""
+        del heading, settles
+        yield from ()
+        return SkillResult(success=True)
+
+    def frame(self) -> Frame:
+        """As `Person.frame`."""
+        root = pose_multiply(self.base, np.concatenate([self.pelvis, self.quats[0]]))
+        return Frame(self.base, root, self.quats[1:], {})
+
+    def _pose(self) -> tuple[Array, Array]:
+        """Local rotations [55, 4] and the pelvis [3], computed when somebody is near enough to ask."""
+        if self._posed is None or self._posed[0] is not self.gait:
+            phase = walking_phase(self.body, self._clip, self.gait)
+            quats, pelvis = self.body.clip_pose([self._clip], phase, self.gait.blend, arms=self.gait.arms)
+            self._posed = self.gait, quats[0], pelvis[0]
+        return self._posed[1:]
+
+
+class Traffic:
+    """All agents of one world, of which some choose their steps here."""
+
+    def __init__(self, world: World, row: int, floors: Sequence[FreeSpace]) -> None:
+        """``floors`` are the floors on which the agents find their paths in world number ``row``."""
+        self._world, self._row, self._step = world, row, -1
+        self._state = world.state.take([row])
+        self._objects = Objects((), np.zeros((0, 3)), self._state)
+        self.actors = [self._actor(number, floor) for number, floor in enumerate(floors)]
+        for actor in self.actors:
+            actor.follow(self._state)
+        self._tracker = AgentContactTracker(world.roster, self.actors, people_see_robot=True)
+        self._right_of_way = RightOfWay(world.floors[row], self.actors) if len(self.actors) > 1 else None
+        for actor in self.actors:
+            actor.agreed = self._right_of_way is not None
+            actor.meets = partial(self._tracker.meets, actor)
+            actor.yields = False  # until it takes a turn: whoever follows another policy makes way for nobody
+
+    def _actor(self, number: int, floor: FreeSpace) -> Rover | Stroller:
+        world, body = self._world, self._world.roster[number].body
+        if isinstance(body, Robot):
+            return Rover(body, floor, world.bases[number], self._objects, 0.0, ARM_RAD_S, number)
+        figure = ClipFigure(body, world.clips[number], floor, world.walker.arms)
+        return Stroller(cast(Person, figure), floor, world.walker, self._objects, number)
+
+    def begin_turn(self, number: int, step: int) -> Rover | Stroller:
+        """Returns an agent as it is in the world, with what it knows of the others."""
+        if step != self._step:
+            self._begin_step(step)
+        actor = self.actors[number]
+        actor.yields = True
+        self._tracker.show(actor)
+        actor.hindered_by = frozenset()
+        return actor
+
+    def end_turn(self, number: int) -> None:
+        """Tells the others that an agent has made its step."""
+        self._tracker.moved(number)
+
+    def _begin_step(self, step: int) -> None:
+        self._state.put([0], self._world.state.take([self._row]))
+        for actor in self.actors:
+            actor.follow(self._state)
+            self._tracker.moved(actor.number)
+        if self._step >= 0:
+            self._tracker.end_step()
+        self._step = step
+        if self._right_of_way is not None:
+            self._right_of_way.update()
