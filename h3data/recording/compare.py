@@ -78,7 +78,7 @@ def state_hash(columns: Mapping[str, NDArray[Any]], previous: int = 0) -> NDArra
 
     Row k is BLAKE2b with an 8-byte digest over the digest of row k-1 (``previous`` before the first; little-endian) and
     the raw little-endian bytes of row k of every state column in the sorted order of their names. State columns are all
-    but ``time_ns``, ``state_hash``, ``metrics.*`` and ``agent_*.action``: measurements and commands are not state.
+    but ``time_ns``, ``state_hash``, ``metrics.*``, ``input.*`` and ``agent_*.action``: measurements and commands are not state.
     """
     names = sorted(n for n in columns if topic_of(n) == "state" and n not in ("time_ns", "state_hash"))
     layout_of({n: columns[n] for n in names})

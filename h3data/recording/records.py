@@ -23,6 +23,7 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 ``agent_<i>.action``      float32 [T,A] low-level action that led to this row, named in ``Agent.action_names``
 ``agent_<i>.skill``       int32 [T]     running high-level skill, an index into ``Agent.skill_names``, -1 for none
 ``metrics.<name>``        float32 or bool [T]  per-step scalars, e.g. ``dist_agents``, ``collision``
+``input.user_<u>.<name>`` any           what a program made of a person's input at a step; not state
 ``sim.<name>``            any           further state that the simulator needs to continue from a step
 ``state_hash``            uint64 [T]    running hash of the state stream
 ====================== ================ ================================================================================

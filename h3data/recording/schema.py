@@ -31,7 +31,7 @@ from h3data.recording.records import (
     SkillSpan,
 )
 
-Topic = Literal["state", "action", "metrics"]
+Topic = Literal["state", "action", "metrics", "input"]
 
 CONVENTIONS = {
     "up": "+Y",
@@ -78,9 +78,11 @@ Layout = tuple[Column, ...]
 
 
 def topic_of(column: str) -> Topic:
-    """Kind of a column: state, an action, or a measurement."""
+    """Kind of a column: state, an action, a measurement, or input of people."""
     if _ACTION.match(column):
         return "action"
+    if column.startswith("input."):
+        return "input"
     return "metrics" if column.startswith("metrics.") else "state"
 
 

@@ -64,9 +64,13 @@ class Recorder:
     events: list[Event] = field(default_factory=list)
     skills: list[SkillSpan] = field(default_factory=list)
     inputs: list[InputEvent] = field(default_factory=list)
+    beside: dict[str, np.generic] = field(default_factory=dict)
+    """Values of columns beside those of the task, taken down with every row. All of them have to be there before the first
+    row, and keep their dtypes. A recording that is simulated again does not have them, so they must not be state."""
     latest: Any = None
     """Snapshot of the step that has just been played; None before the first."""
     _rows: list[Any] = field(default_factory=list)
+    _beside: list[tuple[np.generic, ...]] = field(default_factory=list)
     _count: int = 0
 
     def __len__(self) -> int:
@@ -76,6 +80,7 @@ class Recorder:
         """Takes down the step that has just been played."""
         self.latest = self.play.snapshot()
         self._rows.append(self.latest)
+        self._beside.append(tuple(self.beside.values()))
         if len(self._rows) == BLOCK:
             self._close_block()
         self._take()
@@ -138,13 +143,16 @@ class Recorder:
         if not self._rows:
             return
         block = self.play.columns(self._rows, self._count)
+        block |= {
+            name: np.array(values) for name, values in zip(self.beside, zip(*self._beside, strict=True), strict=True)
+        }
         last_hash = int(self.blocks[-1]["state_hash"][-1]) if self.blocks else 0
         block["state_hash"] = state_hash(block, previous=last_hash)
         if self.sink is not None:
             self.sink.append(block)
         self.blocks.append(block)
         self._count += len(self._rows)
-        self._rows = []
+        self._rows, self._beside = [], []
 
 
 def finished(

@@ -111,10 +111,28 @@ def _outcome(recording: Recording) -> list[str]:
     """Lines about how the episode and its skills ended, as far as they are recorded."""
     ended, skills = recording.episode.info.get("ended"), Counter(span.outcome for span in recording.skills)
     lines = [f"  ended    {ended}"] if ended else []
-    return lines + ([f"  skills   {', '.join(f'{count} {name}' for name, count in skills.items())}"] if skills else [])
+    lines += [f"  skills   {', '.join(f'{count} {name}' for name, count in skills.items())}"] if skills else []
+    return lines + _players(recording)
+
+
+def _players(recording: Recording) -> list[str]:
+    """Lines about people who played live: messages, round trips, steps that were not played in time."""
+    from h3data.recording.live_input import live_inputs, slipped_steps
+
+    lines = []
+    for player in live_inputs(recording):
+        name = recording.agents[player.user].name if player.user < len(recording.agents) else f"user {player.user}"
+        shares = player.rtt_shares_ms
+        trip = "" if shares is None else f", round trip {shares[0]:.0f} ms (95%: {shares[1]:.0f} ms)"
+        lines.append(f"  {'played' if not lines else '':<8} {name}: {counted(player.messages, 'message')}{trip}")
+    if lines:
+        lines[-1] += f"; {counted(slipped_steps(recording), 'step')} slipped"
+    return lines
 
 
 def _of_recording(recording: Recording) -> dict[str, Any]:
+    from h3data.recording.live_input import live_inputs, slipped_steps
+
     return {
         "kind": "recording",
         "steps": len(recording),
@@ -125,6 +143,11 @@ def _of_recording(recording: Recording) -> dict[str, Any]:
         "moving_bodies": len(recording.moving_bodies),
         "events": len(recording.events),
         "skills": len(recording.skills),
+        "played": [
+            {"agent": player.user, "messages": player.messages, "rtt_ms": player.rtt_shares_ms}
+            for player in live_inputs(recording)
+        ],
+        "slipped": slipped_steps(recording),
         "skill_outcomes": dict(Counter(span.outcome for span in recording.skills)),
         "ended": recording.episode.info.get("ended"),
         "columns": {name: {"dtype": str(a.dtype), "shape": list(a.shape)} for name, a in recording.columns.items()},

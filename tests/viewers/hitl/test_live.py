@@ -15,9 +15,10 @@ from h3data.errors import InputError
 from h3data.geometry import pose_multiply
 from h3data.kernels import compiled_count
 from h3data.recording import read_mcap
+from h3data.recording.live_input import CLIENT
 from h3data.replay.validation import validate_recording
 from h3data_viewers.hitl.app import App, Hud
-from h3data_viewers.hitl.live import CLIENT, LiveGame, Table
+from h3data_viewers.hitl.live import LiveGame, Table
 from h3data_viewers.hitl.messages import decode
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan
 from h3data_viewers.hitl.wire import BUSY

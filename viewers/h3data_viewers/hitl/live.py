@@ -13,6 +13,7 @@ import numpy as np
 
 from h3data.errors import H3DataError, InputError
 from h3data.recording import STEP_NS, InputEvent, Recording, RecordingWriter, read_mcap, recover_mcap
+from h3data.recording.live_input import CLIENT, CONNECTED, DISCONNECTED, SLIP, rtt_column, seq_column
 from h3data_viewers.hitl.app import App, find_app
 from h3data_viewers.hitl.drivers import Driver
 from h3data_viewers.hitl.messages import Act, decode
@@ -24,9 +25,7 @@ from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import Session, StepResult
 from sim_kinematic.tasks.sources import EpisodeSource
 
-CLIENT, CONNECTED, DISCONNECTED, SLIP = "client", "connected", "disconnected", "slip"
-"""Kinds of raw input: a message as it came, somebody who came or went, steps that were not played in time. What the players'
-messages made the agents do is recorded beside them (kind ``command``), so that ``h3data replay --verify`` needs no app."""
+MOST_RTT_MS = 1e6
 
 
 class Table:
@@ -107,6 +106,8 @@ class LiveGame:
         self.app: App = table.app()
         self.app.reset(self.session)
         self.drivers: dict[int, Driver] = {k: self.app.driver(k) for k in table.numbers}
+        for k in table.numbers:
+            self.session.recorder.beside |= {seq_column(k): np.int32(-1), rtt_column(k): np.float32(np.nan)}
         self.packer = StatePacker(self.session.recorder.header, tuple(m.body for m in episode.roster))
         self.packed: PackedStep | None = None
         """The last step."""
@@ -124,6 +125,12 @@ class LiveGame:
         """
         why = self.drivers[number].take(message, self.app.refusal(number, message))
         self.app.on_input(number, message)
+        beside = self.session.recorder.beside
+        if message.seq is not None:
+            beside[seq_column(number)] = np.int32(message.seq)
+        if message.rtt > 0:
+            beside[rtt_column(number)] = np.float32(min(message.rtt, MOST_RTT_MS))
+        # what the message makes the agent do is recorded beside it (kind ``command``), so that verifying needs no app
         self._record(CLIENT, number, f'{{"server_ms":{server_ms:.1f},"message":{text}}}')
         return why
 

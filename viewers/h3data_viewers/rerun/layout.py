@@ -30,6 +30,8 @@ class LoggedRecording:
     cameras: Sequence[str]
     plotted: Sequence[str]
     lanes: Sequence[str]
+    latency: Sequence[str]
+    """Round trips of people who played live [ms]."""
     log: str
     """Root of the event log; empty if there is none."""
     inputs: str
@@ -69,6 +71,10 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
     if lanes:
         rows.append(rrb.StateTimelineView(origin="/", contents=lanes, name="Actions"))
         shares.append(0.35 + 0.22 * len(lanes))
+    latency = [entity for recording in recordings for entity in recording.latency]
+    if latency:
+        rows.append(rrb.TimeSeriesView(origin="/", contents=latency, name="Round trip [ms]"))
+        shares.append(0.5)
     for name, roots in (("Events", [r.log for r in recordings]), ("Input", [r.inputs for r in recordings])):
         if any(roots):
             rows.append(rrb.TextLogView(origin="/", contents=[f"{root}/**" for root in roots if root], name=name))

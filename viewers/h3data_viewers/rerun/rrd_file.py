@@ -3,7 +3,8 @@
 Entities: ``world/scene/<name>`` (static meshes, below their layer if they have one), ``world/objects/<name>`` (moving
 ones), ``world/<agent>/...`` (parts of an agent, relative to its root frame: only joints that move cost bytes),
 ``world/trajectories``, ``world/goals``, ``world/free_space``, ``world/cameras/<name>``, ``metrics/*``, ``actions/*``,
-``log/*``, ``input/*``. Two recordings in one file lie below ``/a`` and ``/b``. Timelines: ``step`` and ``sim_time``.
+``latency/*``, ``log/*``, ``input/*``. Two recordings in one file lie below ``/a`` and ``/b``. Timelines: ``step`` and
+``sim_time``.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from h3data_viewers.rerun.entities import Drawable, PosedScene, entity_part, log
 from h3data_viewers.rerun.floor_marks import log_free_space, log_goals
 from h3data_viewers.rerun.layout import LoggedRecording, layout
 from h3data_viewers.rerun.sink import Sink
-from h3data_viewers.rerun.timeseries import log_events, log_inputs, log_lanes, log_scalars
+from h3data_viewers.rerun.timeseries import log_events, log_inputs, log_lanes, log_latency, log_scalars
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -203,6 +204,7 @@ def _log_side(
         cameras=[path for feed, path in camera_paths if feed.has_images],
         plotted=log_scalars(sink, recording, shade=LABELS.index(sink.label) if compared else None, bounds=bounds),
         lanes=log_lanes(sink, recording, ends=compared),
+        latency=log_latency(sink, recording),
         log=sink.path("log") if log_events(sink, recording, ends=compared) else "",
         inputs=sink.path("input") if log_inputs(sink, recording) else "",
     )

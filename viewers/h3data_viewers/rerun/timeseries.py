@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.metrics import find_agents
 from h3data.metrics.paper.social_nav import following_rows, l2_distance
+from h3data.recording.live_input import AWAY, live_inputs
 from h3data.recording.log_lines import LogLine, log_lines
 from h3data.recording.records import Recording
 from h3data_viewers.rerun.sink import Sink
@@ -25,6 +26,7 @@ STATE_COLORS = {
     "following": 0x43A047FF,
     "too close": 0xFB8C00FF,
     "contact": 0xE53935FF,
+    AWAY: 0x90A4AEFF,
     ENDED: 0x1A1A1AFF,
 }
 CURVE_COLORS = ((0x1565C0FF, 0x64B5F6FF, 0x4DD0E1FF), (0xD84315FF, 0xFFB74DFF, 0xF06292FF))
@@ -81,7 +83,8 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, b
 
 # --- lanes ------------------------------------------------------------------------------------------------------------
 def lanes_of(recording: Recording) -> dict[str, list[str]]:
-    """Returns the state of every lane at each row, by lane name: skills, motions, and the encounter of the pair."""
+    """Returns the state of every lane at each row, by lane name: skills, motions, what players of a live session asked for, and
+    the encounter of the pair."""
     lanes: dict[str, list[str]] = {}
     for i, agent in enumerate(recording.agents):
         skill = _skill_states(recording, i)
@@ -90,6 +93,9 @@ def lanes_of(recording: Recording) -> dict[str, list[str]]:
         motion = recording.columns.get(f"agent_{i}.motion_id")
         if motion is not None and agent.motion_names:
             lanes[f"{agent.name}_motion"] = [_coded(agent.motion_names, code) for code in motion.tolist()]
+    for player in live_inputs(recording):
+        if player.user < len(recording.agents):
+            lanes[f"{recording.agents[player.user].name}_input"] = list(player.asked)
     pair = agent_pair(recording)
     if pair is not None:
         lanes["encounter"] = _encounter_states(recording, *pair)
@@ -175,3 +181,16 @@ def log_inputs(sink: Sink, recording: Recording) -> bool:
         columns = rr.TextLog.columns(text=text, level=["INFO"] * len(events))
         sink.moments(f"input/user_{user}", np.array([event.time_ns for event in events], np.int64), columns)
     return bool(recording.inputs)
+
+
+def log_latency(sink: Sink, recording: Recording) -> tuple[str, ...]:
+    """Logs the round trips of the players of a live session [ms] below ``latency/`` and returns their paths."""
+    import rerun as rr
+
+    paths = []
+    for player in live_inputs(recording):
+        if np.isfinite(player.rtt_ms).any():
+            name = recording.agents[player.user].name if player.user < len(recording.agents) else f"user_{player.user}"
+            sink.columns(f"latency/{name}", None, rr.Scalars.columns(scalars=player.rtt_ms.astype(np.float64)))
+            paths.append(sink.path(f"latency/{name}"))
+    return tuple(paths)

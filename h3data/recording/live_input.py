@@ -1,0 +1,100 @@
+"""What players of a live session sent, as recorded (``h3data play``): messages as raw input, and columns beside the state.
+
+``input.user_<u>.seq`` is the number of the last message of the player of agent ``u`` that had acted by a row (int32, -1: none),
+``input.user_<u>.rtt_ms`` the round trip that the player's page had measured by then (float32, NaN: none yet). Neither is state.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.recording.records import InputEvent, Recording
+
+CLIENT, CONNECTED, DISCONNECTED, SLIP = "client", "connected", "disconnected", "slip"
+"""Kinds of raw input: a message as it came, somebody who came or went, steps that were not played in time."""
+NOTHING, AWAY, STEERS = "-", "away", "steers"
+"""What a player wants at a step, besides the kind of the last message: nothing, not connected, moving by keys or sticks."""
+_STREAMS = ("hand", "head")
+"""Messages that are sent all the time beside others."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LiveInput:
+    """One player's input."""
+
+    user: int
+    """The agent that they played."""
+    messages: int
+    asked: tuple[str, ...]
+    """What they had asked for last, at each row: `NOTHING`, `STEERS`, `AWAY`, or the kind of a message such as ``pick``."""
+    rtt_ms: NDArray[np.float32]
+    """At each row, [T] [ms]; NaN where it had not been measured."""
+
+    @property
+    def rtt_shares_ms(self) -> tuple[float, float] | None:
+        """Median and 95th percentile of the round trip over rows [ms]; None: never measured."""
+        known = self.rtt_ms[np.isfinite(self.rtt_ms)]
+        return (float(np.median(known)), float(np.percentile(known, 95))) if len(known) else None
+
+
+def seq_column(user: int) -> str:
+    """Name of the column that numbers a player's messages."""
+    return f"input.user_{user}.seq"
+
+
+def rtt_column(user: int) -> str:
+    """Name of the column of a player's round trip."""
+    return f"input.user_{user}.rtt_ms"
+
+
+def live_inputs(recording: Recording) -> list[LiveInput]:
+    """Input of each player of a live session; empty for other recordings."""
+    users = sorted({e.user for e in recording.inputs if e.kind in (CLIENT, CONNECTED)})
+    return [_of(recording, user, [e for e in recording.inputs if e.user == user]) for user in users]
+
+
+def slipped_steps(recording: Recording) -> int:
+    """Steps that the server of a live session was too slow to play."""
+    slips = (_json(event).get("steps") for event in recording.inputs if event.kind == SLIP)
+    return sum(steps for steps in slips if isinstance(steps, int))
+
+
+def _of(recording: Recording, user: int, events: Sequence[InputEvent]) -> LiveInput:
+    rows = len(recording)
+    # live sessions write the time of the last row that had been played; the input acted on the next one
+    at = np.searchsorted(recording.columns["time_ns"], [e.time_ns for e in events], side="right")
+    asked, now, row = [NOTHING] * rows, NOTHING, 0
+    for event, until in zip(events, at.tolist(), strict=True):
+        asked[row:until] = [now] * (until - row)
+        row, now = until, _asked(event, now)
+    asked[row:rows] = [now] * (rows - row)
+    rtt = recording.columns.get(rtt_column(user), np.full(rows, np.nan, np.float32))
+    messages = sum(event.kind == CLIENT for event in events)
+    return LiveInput(user=user, messages=messages, asked=tuple(asked), rtt_ms=rtt)
+
+
+def _asked(event: InputEvent, now: str) -> str:
+    if event.kind in (CONNECTED, DISCONNECTED):
+        return NOTHING if event.kind == CONNECTED else AWAY
+    message = _json(event).get("message") if event.kind == CLIENT else None
+    kind = message.get("k") if isinstance(message, dict) else None
+    if not isinstance(kind, str) or kind in _STREAMS:
+        return now
+    if kind == "move":
+        return STEERS if message.get("f") or message.get("t") else NOTHING
+    return NOTHING if kind == "stop" else kind
+
+
+def _json(event: InputEvent) -> dict[str, Any]:
+    """The payload of raw input; empty where it is no JSON object, which `h3data validate` reports."""
+    try:
+        payload = json.loads(event.payload or "{}")
+    except ValueError:
+        return {}
+    return payload if isinstance(payload, dict) else {}
