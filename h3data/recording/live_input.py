@@ -83,7 +83,9 @@ def _asked(event: InputEvent, now: str) -> str:
     if event.kind in (CONNECTED, DISCONNECTED):
         return NOTHING if event.kind == CONNECTED else AWAY
     message = _json(event).get("message") if event.kind == CLIENT else None
-    kind = message.get("k") if isinstance(message, dict) else None
+    if not isinstance(message, dict):
+        return now
+    kind = message.get("k")
     if not isinstance(kind, str) or kind in _STREAMS:
         return now
     if kind == "move":

@@ -124,10 +124,23 @@ def _players(recording: Recording) -> list[str]:
         name = recording.agents[player.user].name if player.user < len(recording.agents) else f"user {player.user}"
         shares = player.rtt_shares_ms
         trip = "" if shares is None else f", round trip {shares[0]:.0f} ms (95%: {shares[1]:.0f} ms)"
-        lines.append(f"  {'played' if not lines else '':<8} {name}: {counted(player.messages, 'message')}{trip}")
+        lines.append(
+            f"  {'played' if not lines else '':<8} {name}{_by_bot(recording)}: {counted(player.messages, 'message')}{trip}"
+        )
     if lines:
         lines[-1] += f"; {counted(slipped_steps(recording), 'step')} slipped"
     return lines
+
+
+def _by_bot(recording: Recording) -> str:
+    """Whether the player was a script, and the clock another than real time."""
+    hitl = recording.episode.info.get("hitl")
+    hitl = hitl if isinstance(hitl, dict) else {}
+    client, speed = hitl.get("client"), hitl.get("speed", 1)
+    marks = ["a bot"] if isinstance(client, dict) and client.get("browser") == "bot" else []
+    if speed != 1:
+        marks.append("clock as fast as the machine" if not speed else f"clock {speed} times as fast")
+    return f" ({', '.join(marks)})" if marks else ""
 
 
 def _of_recording(recording: Recording) -> dict[str, Any]:

@@ -6,7 +6,8 @@ import importlib.util
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,8 +38,7 @@ def serving_options(
     Raises:
         InputError: they are impossible, or aiohttp is missing.
     """
-    if importlib.util.find_spec("aiohttp") is None:
-        raise InputError(f"{what} needs the package aiohttp. Hint: pip install 'h3data[hitl]'")
+    require_aiohttp(what)
     if not 0 <= port < 65536:
         raise InputError(f"Expected a --port from 0 to 65535, got {port}.")
     if (cert is None) != (key is None):
@@ -49,6 +49,15 @@ def serving_options(
     return {"host": host, "port": port, "cert": str(cert or ""), "key": str(key or ""), "behind_proxy": behind_proxy}
 
 
+def require_aiohttp(what: str) -> None:
+    """
+    Raises:
+        InputError: the package is missing.
+    """
+    if importlib.util.find_spec("aiohttp") is None:
+        raise InputError(f"{what} needs the package aiohttp. Hint: pip install 'h3data[hitl]'")
+
+
 def run_server(options: dict[str, Any], heard: Callable[[dict[str, Any]], None]) -> None:
     """Runs the server until it ends; ``heard`` gets its reports.
 
@@ -56,16 +65,10 @@ def run_server(options: dict[str, Any], heard: Callable[[dict[str, Any]], None])
         H3DataError: it ended with a fault.
         KeyboardInterrupt: after Ctrl-C, once the server has ended.
     """
-    paths = os.pathsep.join(path for path in sys.path if path)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "h3data_viewers.hitl.serve"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": paths},
-    )  # fmt: skip
+    process = _start(options)
     assert process.stdin is not None
     assert process.stdout is not None
     try:
-        process.stdin.write(msgspec.json.encode(options) + b"\n")
-        process.stdin.flush()
         for line in process.stdout:
             heard(msgspec.json.decode(line))
     except KeyboardInterrupt:
@@ -79,6 +82,50 @@ def run_server(options: dict[str, Any], heard: Callable[[dict[str, Any]], None])
         process.wait()
     if process.returncode:
         raise H3DataError(f"The server ended with exit code {process.returncode}; its message is above.")
+
+
+@contextmanager
+def started_server(options: dict[str, Any]) -> Iterator[tuple[list[list[str]], Iterator[dict[str, Any]]]]:
+    """A server that listens, as links of its seats and what it will report; it is stopped at the end.
+
+    Raises:
+        InputError: it refuses what it should serve.
+        H3DataError: it ended before it listened.
+    """
+    process = _start(options)
+    assert process.stdin is not None
+    reports = _reports(process)
+    try:
+        for report in reports:
+            if "refused" in report:
+                raise InputError(report["refused"])
+            if "ready" in report:
+                yield report["ready"]["links"], reports
+                return
+        raise H3DataError("The server ended while it started; its message is above.")
+    finally:
+        process.terminate()
+        process.stdin.close()
+        process.wait()
+
+
+def _reports(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:
+    assert process.stdout is not None
+    with process.stdout:
+        for line in process.stdout:
+            yield msgspec.json.decode(line)
+
+
+def _start(options: dict[str, Any]) -> subprocess.Popen[bytes]:
+    paths = os.pathsep.join(path for path in sys.path if path)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "h3data_viewers.hitl.serve"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": paths},
+    )  # fmt: skip
+    assert process.stdin is not None
+    process.stdin.write(msgspec.json.encode(options) + b"\n")
+    process.stdin.flush()
+    return process
 
 
 def say(line: str) -> None:

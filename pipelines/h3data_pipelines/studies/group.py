@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from h3data_pipelines.command import Group
+from h3data_pipelines.studies.bots import StudyBots
 from h3data_pipelines.studies.fitting import StudyFit
 from h3data_pipelines.studies.managing import StudyForget, StudyStatus
 from h3data_pipelines.studies.reporting import StudyCompare, StudyReport
@@ -13,6 +14,7 @@ STUDY = Group(
     {
         "new": StudyNew,
         "run": StudyRun,
+        "bots": StudyBots,
         "status": StudyStatus,
         "report": StudyReport,
         "compare": StudyCompare,

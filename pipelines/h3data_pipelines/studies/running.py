@@ -73,6 +73,8 @@ class StudyRun:
     """The study file (.toml)."""
     workers: int = 1
     """Processes that simulate; about 12 people at once each."""
+    seats_per_address: int = 12
+    """Participants at once from one network address."""
     port: PortOption = 0
     host: HostOption = "127.0.0.1"
     cert: CertOption = None
@@ -90,8 +92,8 @@ class StudyRun:
             "h3data study run", host=self.host, port=self.port, cert=self.cert, key=self.key,
             behind_proxy=self.behind_proxy,
         )  # fmt: skip
-        if self.workers < 1:
-            raise InputError(f"Expected --workers of at least 1, got {self.workers}.")
+        if self.workers < 1 or self.seats_per_address < 1:
+            raise InputError("Expected --workers and --seats-per-address of at least 1.")
         design = read_design(self.study)
         folder = study_folder(self.study, design)
         plan = make_plan(design, folder, speed=self.speed)
@@ -99,6 +101,7 @@ class StudyRun:
             keep_design(folder, design)
             say(f"Study {design.name}, version {design.version}, in {folder}. Setting up its conditions ...")
             options = {"study": plan, "stays": True, "workers": self.workers, **serving}
+            options["seats_per_address"] = self.seats_per_address
             with keeping(lambda: f"everything in {folder}; the same command goes on with it"):
                 run_server(options, self._heard)
         return Outcome(text=f"Everything is in {folder}.", data={"folder": str(folder)}, result=folder)

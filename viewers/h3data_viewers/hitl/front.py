@@ -23,8 +23,10 @@ from h3data_viewers.hitl.workers import WorkerProcess, Workers
 PAGE = Path(__file__).parent / "web" / "dist"
 RATE_PER_S, BURST = 90.0, 180.0
 MOST_BUSY = 0.7
-"""Share of a core above which a worker takes no further game: all others would slow down."""
+"""Share of a core that a worker's games may take: beyond it a further one would slow down all others."""
 MOST_SPECTATORS = 20
+SEATS_PER_ADDRESS = 12
+"""Seats that one network address may have at once: a class in a lab, not a flood."""
 BEGIN_S, POST_BYTES = 90.0, 64 * 1024
 ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
 
@@ -35,7 +37,7 @@ class Front:
     def __init__(
         self, plan: PlayPlan, *, workers: int = 1, tables: int = 1, open_door: bool = True, secure: bool = False,
         report: Callable[[dict[str, Any]], None] = lambda _: None, plans: Sequence[PlayPlan] = (),
-        journal: Journal | None = None,
+        journal: Journal | None = None, seats_per_address: int = SEATS_PER_ADDRESS, behind_proxy: bool = False,
     ) -> None:  # fmt: skip
         """
         Args:
@@ -47,6 +49,8 @@ class Front:
             report: Called with what the command line tells its user.
             plans: What orders of games refer to by number (default: ``plan`` alone).
             journal: Seats and games (default: those of the plan's folder).
+            seats_per_address: Seats at once of one network address.
+            behind_proxy: Whether the address is the one that the proxy names (``X-Forwarded-For``).
         """
         self.plan, self.secure, self.report = plan, secure, report
         self.tables = tables if len(plan.players) == 1 else 1
@@ -59,6 +63,9 @@ class Front:
         """By name: content, gzip-compressed, and its type."""
         self.done = asyncio.Event()
         """All episodes are over."""
+        self.seats_per_address, self.behind_proxy = seats_per_address, behind_proxy
+        self._addresses: dict[str, set[str]] = {}
+        """Seats by address; in memory only: addresses of people are not stored."""
         self.finishes = True
         """Whether recordings are finished when the server stops; else the next server goes on with them."""
 
@@ -123,8 +130,10 @@ class Front:
         token = request.cookies.get(self._cookie(number), "")
         seat = self.journal.owner(token, number) if token else None
         if seat is None:
+            self._require_room_at(request)
             token = new_token()
             seat = self._new_seat(token, number)
+            self._note_address(request, seat)
         live = self._game_for(seat)
         try:
             begun = await asyncio.wait_for(asyncio.shield(live.begun), BEGIN_S)
@@ -172,8 +181,31 @@ class Front:
         return self.journal.sit(token, max(places, default=-1) + 1, number)
 
     def _require_capacity(self) -> None:
-        if not self.workers.active or self.workers.least_busy().busy > MOST_BUSY:
+        if not self.workers.active or self.workers.least_busy().with_one_more > MOST_BUSY:
             raise web.HTTPServiceUnavailable(text="The machine is busy with other sessions. Try again in a minute.")
+
+    def _require_room_at(self, request: web.Request) -> None:
+        """Refuses a further seat to an address that has many."""
+        sids = self._addresses.get(self._address(request), set())
+        sids.difference_update([sid for sid in sids if not self._is_taken(sid)])
+        if len(sids) >= self.seats_per_address:
+            raise web.HTTPServiceUnavailable(
+                text="Too many people take part from your network address already. Try again when one of them has finished."
+            )
+
+    def _note_address(self, request: web.Request, seat: Seat) -> None:
+        self._addresses.setdefault(self._address(request), set()).add(seat.sid)
+
+    def _address(self, request: web.Request) -> str:
+        # the last entry is the proxy's own; what a client writes itself comes before it
+        named = request.headers.get("X-Forwarded-For", "") if self.behind_proxy else ""
+        return named.rpartition(",")[2].strip() or request.remote or ""
+
+    def _is_taken(self, sid: str) -> bool:
+        """Whether somebody still plays in a seat."""
+        seat = self.journal.seats.get(sid)
+        game = None if seat is None else self.journal.games.get(seat.game)
+        return seat is not None and (game is None or not game.over)
 
     def _game_for(self, seat: Seat) -> Live:
         """The game of a seat's table: the one that goes on, or the next episode."""

@@ -99,6 +99,8 @@ class LiveGame:
             # one home is stored once for all episodes that are played in it
             sink = lambda header: RecordingWriter(path, header, overwrite=True, share_in=plan.out)  # noqa: E731
         info: dict[str, Any] = {"hitl": {"app": plan.app, "seats": list(plan.seats), "protocol": VERSION}}
+        if plan.speed != 1:
+            info["hitl"]["speed"] = plan.speed
         if order is not None:
             info = {**order.info, "hitl": {**info["hitl"], **order.hitl}}
         self.index, self.path, self.slipped = index, path, 0

@@ -27,7 +27,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 0
     episodes: int = 1
     speed: float = 1.0
-    """Above 1 time runs faster: for scripted players."""
+    """Above 1 time runs faster, 0: as fast as the machine can. For scripted players; recordings say so."""
     rules: dict[str, Any] = {}
     """Rules of the task that differ from the app's."""
 

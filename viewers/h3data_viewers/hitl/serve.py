@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 from aiohttp import web
 
-from h3data_viewers.hitl.front import Front
+from h3data_viewers.hitl.front import SEATS_PER_ADDRESS, Front
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.study.design import StudyPlan
 from h3data_viewers.hitl.workers import Refused
@@ -40,7 +40,8 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     key: str = ""
     """Files of a TLS certificate and its key."""
     behind_proxy: bool = False
-    """Whether a proxy in front of it does TLS."""
+    """Whether a proxy in front of it does TLS, and names addresses of browsers."""
+    seats_per_address: int = SEATS_PER_ADDRESS
     stays: bool = False
     """Whether it goes on after the last episode."""
 
@@ -68,7 +69,7 @@ async def serve(options: ServeOptions, report: Any) -> int:
     is_local = options.host in LOOPBACK
     given = {
         "workers": options.workers, "open_door": is_local, "secure": bool(options.cert) or options.behind_proxy,
-        "report": report,
+        "report": report, "seats_per_address": options.seats_per_address, "behind_proxy": options.behind_proxy,
     }  # fmt: skip
     if options.study is not None:
         from h3data_viewers.hitl.study.front import StudyFront

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Any
 
 import msgspec
@@ -33,6 +34,7 @@ FARTHEST_STEPS = 15
 WHOLE_EVERY = 30
 """Every so many steps a state has all objects, not just those that have moved."""
 REPORT_S = 1.0
+MEASURED_STEPS = 60
 HUD_S = 10.0
 """The time that is left is told this often."""
 
@@ -55,6 +57,8 @@ class Running:
     over: bool = False
     seconds: float = 0.0
     """CPU time of its steps."""
+    latest_s: deque[float] = field(default_factory=lambda: deque(maxlen=MEASURED_STEPS))
+    """CPU time of the latest steps, with packing and sending."""
     huds: dict[int, Any] = field(default_factory=dict)
 
     @property
@@ -73,10 +77,10 @@ class Worker:
     def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
         self.channel = channel
         self.plans, self.tables = plans, {0: Table(plans[0])}
-        self.period = PERIOD_S / plans[0].speed
+        self.period = PERIOD_S / plans[0].speed if plans[0].speed else 0.0
         self.games: dict[str, Running] = {}
         self.stops, self.finishes = False, True
-        self._busy, self._reported = 0.0, time.monotonic()
+        self._reported = time.monotonic()
         self._prepared: dict[tuple[int, int], tuple[dict[str, Any], bytes, bytes]] = {}
 
     def table(self, number: int) -> Table:
@@ -142,12 +146,14 @@ class Worker:
             self.channel.send("failed", key, text)
 
     def report(self) -> None:
-        """Tells the front once a second how busy this process is."""
+        """Tells the front once a second which share of a core the games take. It is CPU time, and of each game the median step:
+        neither what else the machine does nor a single plan should turn people away."""
         now = time.monotonic()
         if now - self._reported < REPORT_S:
             return
-        self.channel.send("load", "", {"busy": self._busy / (now - self._reported), "games": len(self.games)})
-        self._busy, self._reported = 0.0, now
+        steps = [median(running.latest_s) for running in self.games.values() if running.latest_s]
+        self.channel.send("load", "", {"busy": sum(steps) / self.period if self.period else 0.0, "games": len(steps)})
+        self._reported = now
 
     def close_all(self, *, finish: bool) -> None:
         """Finishes all recordings, or leaves them as logs that a later process goes on with."""
@@ -225,7 +231,7 @@ class Worker:
     # --- steps --------------------------------------------------------------------------------------------------------
     def step(self, key: str, body: Any) -> None:
         del body
-        running, start = self.games[key], time.perf_counter()
+        running = self.games[key]
         game, cpu = running.game, time.process_time()
         now = len(game.session.recorder)
         later: deque[tuple[int, int, Act, str, float]] = deque()
@@ -242,13 +248,13 @@ class Worker:
         self._send_states(running)
         running.due += self.period
         behind = time.monotonic() - running.due
-        if behind > MOST_BEHIND * self.period:
+        if self.period and behind > MOST_BEHIND * self.period:
             steps = int(behind / self.period)
             game.slip(steps)
             running.due += steps * self.period
         if game.ended:
             self.finish(running)
-        self._busy += time.perf_counter() - start
+        running.latest_s.append(time.process_time() - cpu)
 
     def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:
         try:

@@ -18,6 +18,8 @@ from h3data_viewers.hitl.plan import PlayPlan
 
 MOST_UNSENT = 1 << 20
 """Messages of players are dropped while a worker has this many bytes still to read: it is stuck, and the front must not be."""
+EXPECTED_SHARE = 0.06
+"""Share of a core that a game takes before one has been measured."""
 READY_S = 600.0
 """A worker may compile kernels for minutes, once per machine."""
 
@@ -34,8 +36,8 @@ class WorkerProcess:
     def __init__(self, plans: Sequence[PlayPlan], heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
         self._plans, self._heard, self._lost = plans, heard, lost
         self.games: set[str] = set()
-        self.busy = 0.0
-        """Share of a core that steps took in the last second."""
+        self.busy, self.measured = 0.0, 0
+        """Share of a core that its games take by the CPU time of their median steps, and how many games that is measured of."""
         self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._reading: asyncio.Task[None] | None = None
         ours, theirs = socket.socketpair()
@@ -68,7 +70,7 @@ class WorkerProcess:
                 elif kind == "refused":
                     self.ready.set_exception(Refused(body))
                 elif kind == "load":
-                    self.busy = float(body["busy"])
+                    self.busy, self.measured = float(body["busy"]), int(body["games"])
                 else:
                     self._heard(self, kind, key, body)
         if not self.ready.done():
@@ -79,6 +81,12 @@ class WorkerProcess:
         """Sends a letter; nothing where it is gone."""
         if self._writer is not None and not self._writer.is_closing():
             self._writer.write(encode(kind, key, body))
+
+    @property
+    def with_one_more(self) -> float:
+        """Share of a core that its games would take with a further one; those that have just begun count as the others."""
+        each = self.busy / self.measured if self.measured else EXPECTED_SHARE
+        return self.busy + each * (max(len(self.games) - self.measured, 0) + 1)
 
     @property
     def is_stuck(self) -> bool:
@@ -129,7 +137,7 @@ class Workers:
 
     def least_busy(self) -> WorkerProcess:
         """Where the next game should go."""
-        return min(self.active, key=lambda worker: (round(worker.busy, 1), len(worker.games)))
+        return min(self.active, key=lambda worker: (round(worker.with_one_more, 1), len(worker.games)))
 
     def _lost(self, worker: WorkerProcess) -> None:
         if worker in self.active and not self._stops:

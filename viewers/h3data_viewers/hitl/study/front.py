@@ -14,7 +14,7 @@ from aiohttp import web
 from msgspec import Meta
 
 from h3data_viewers.hitl.connections import Failed, Live, require_own_origin
-from h3data_viewers.hitl.front import ELSEWHERE, PAGE, Front
+from h3data_viewers.hitl.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, Front
 from h3data_viewers.hitl.plan import GameOrder
 from h3data_viewers.hitl.seats import Game, Seat, new_token
 from h3data_viewers.hitl.study.design import StudyPlan
@@ -82,7 +82,8 @@ class StudyFront(Front):
 
     def __init__(
         self, study: StudyPlan, *, workers: int = 1, open_door: bool = True, secure: bool = False,
-        report: Callable[[dict[str, Any]], None] = lambda _: None,
+        report: Callable[[dict[str, Any]], None] = lambda _: None, seats_per_address: int = SEATS_PER_ADDRESS,
+        behind_proxy: bool = False,
     ) -> None:  # fmt: skip
         """
         Args:
@@ -91,11 +92,14 @@ class StudyFront(Front):
             open_door: Whether ``/`` is the study's page, else its link has a secret.
             secure: Whether browsers come through TLS.
             report: Called with what the command line tells its user.
+            seats_per_address: Participants at once of one network address.
+            behind_proxy: As of `Front`.
         """
         self.study, self.design = study, study.design
         super().__init__(
             study.plans[0], workers=workers, open_door=open_door, secure=secure, report=report, plans=study.plans,
             journal=StudyStore(study.design, study.places, Path(study.out)),
+            seats_per_address=seats_per_address, behind_proxy=behind_proxy,
         )  # fmt: skip
         self.finishes = False
         self.began = time.time()
@@ -180,6 +184,7 @@ class StudyFront(Front):
                 return self._answer(request, end_view(self.design, language, "declined"))
             if body.hash != view["stage"]["hash"]:
                 raise web.HTTPConflict(text="The text has been changed. Reload the page and read it again.")
+            self._require_room_at(request)
             place = self.journal.free_place()
             assert place is not None, "the view would have been another one"
             token = new_token()
@@ -187,7 +192,7 @@ class StudyFront(Front):
             pseudonym = ids.get("PROLIFIC_PID") or recruit_ids({"PROLIFIC_PID": token}, self._key)["PROLIFIC_PID"]
             agreed = {"version": self.design.consent.version, "sha256": body.hash}
             participant = self.journal.join(pseudonym, place, language=language, consent=agreed, ids=ids)
-            self.journal.move(participant, token)
+            self._note_address(request, self.journal.move(participant, token))
             self.report({"joined": {"participant": pseudonym, "place": place}})
         return self._answer(request, self._view(participant), token)
 
@@ -315,6 +320,11 @@ class StudyFront(Front):
     # --- episodes -----------------------------------------------------------------------------------------------------
     def _new_seat(self, token: str, number: int) -> Seat:
         raise web.HTTPConflict(text="This browser does not take part in the study yet. Reload the page.")
+
+    def _is_taken(self, sid: str) -> bool:
+        seat = self.journal.seats.get(sid)
+        participant = None if seat is None else self.journal.participants.get(seat.place)
+        return participant is not None and participant.is_active
 
     def _game_for(self, seat: Seat) -> Live:
         participant = self.journal.participants[seat.place]

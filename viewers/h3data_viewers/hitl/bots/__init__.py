@@ -1,0 +1,1 @@
+"""Scripted players: no simulator is needed for them."""
