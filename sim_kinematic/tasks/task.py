@@ -307,6 +307,14 @@ class Task:
         del episode, policies
         return {"ended": play.ended}
 
+    def foresight(self, episode: Episode) -> dict[str, Any]:
+        """What `hindsight` needs of an episode, takes long, and does not depend on how it is played; plain data."""
+        del episode
+        return {}
+
+    def recall(self, episode: Episode, facts: Mapping[str, Any]) -> None:
+        """Spares an episode what another process has found out by `foresight`: a live world must not wait for it."""
+
     # --- simulating again (sim_kinematic.tasks.resume) -----------------------------------------------------------------
     cut_span: ClassVar[Mapping[str, Any]] = {}
     """Changes to a kept person's skill that the end of the recording cuts short."""

@@ -11,7 +11,6 @@ import re
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import msgspec
@@ -309,6 +308,14 @@ class Rearrange(Task):
         alone = [policy.plan for policy in policies] == ["both"]
         return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(episode)}
 
+    def foresight(self, episode: Episode) -> dict[str, Any]:
+        assert isinstance(episode, RearrangeEpisode)
+        return {"solo_steps": solo_steps_of(episode)}
+
+    def recall(self, episode: Episode, facts: Mapping[str, Any]) -> None:
+        if "solo_steps" in facts:
+            vars(episode)[_SOLO_STEPS] = int(facts["solo_steps"])
+
     # --- simulating again ---------------------------------------------------------------------------------------------
     def recorded_policy(self, episode: Episode, number: int, name: Any) -> AssignedPolicy:
         assert isinstance(episode, RearrangeEpisode)
@@ -401,10 +408,18 @@ def _robot_action(command: Any, robot: Robot) -> Action:
     return Action(CONTROL, command=(float(forward), float(turn), *[0.0] * (len(robot.require_arm()) + 1)))
 
 
-@lru_cache(maxsize=16)
+_SOLO_STEPS = "_solo_steps"
+
+
 def solo_steps_of(episode: RearrangeEpisode) -> int:
     """``L_human``: the steps in which the first person alone brings all objects to their goals, at most ``max_steps``; the
-    first robot, where there are no people."""
+    first robot, where there are no people. Simulated once and kept with the episode, as long as that is in memory."""
+    if _SOLO_STEPS not in vars(episode):
+        vars(episode)[_SOLO_STEPS] = _simulated_solo_steps(episode)
+    return vars(episode)[_SOLO_STEPS]
+
+
+def _simulated_solo_steps(episode: RearrangeEpisode) -> int:
     kinds = kinds_of(episode.roster)
     first = kinds.index("human") if "human" in kinds else 0
     alone = episode.only(first)

@@ -36,7 +36,8 @@ class Live:
     begun: asyncio.Future[dict[str, Any]]
     sockets: dict[str, Connection] = field(default_factory=dict)
     """Of those who are connected, by seat."""
-    told_over: dict[str, Any] | None = None
+    beginning: asyncio.Task[None] | None = None
+    """Waits until the episode has been prepared."""
 
 
 class Connection:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gzip
 import hashlib
 import time
 from collections.abc import Callable, Sequence
@@ -18,7 +17,7 @@ from h3data_viewers.hitl.connections import Connection, Failed, Live, pong, requ
 from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, recording_name
 from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token
-from h3data_viewers.hitl.workers import WorkerProcess, Workers
+from h3data_viewers.hitl.workers import Preparer, WorkerProcess, Workers
 
 PAGE = Path(__file__).parent / "web" / "dist"
 RATE_PER_S, BURST = 90.0, 180.0
@@ -59,8 +58,7 @@ class Front:
         self.journal.make_links(len(plan.seats))
         self.workers = Workers(plans or (plan,), workers, self.heard, self.lost)
         self.lives: dict[str, Live] = {}
-        self.files: dict[str, tuple[bytes, str]] = {}
-        """By name: content, gzip-compressed, and its type."""
+        self.preparer = Preparer(self.workers)
         self.done = asyncio.Event()
         """All episodes are over."""
         self.seats_per_address, self.behind_proxy = seats_per_address, behind_proxy
@@ -113,7 +111,7 @@ class Front:
 
     async def world(self, request: web.Request) -> web.StreamResponse:
         """A GLB or distance grid, by its digest."""
-        found = self.files.get(request.match_info["name"])
+        found = self.preparer.files.get(request.match_info["name"])
         if found is None:
             raise web.HTTPNotFound(text="There is no such file any more. Reload the page.")
         data, kind = found
@@ -233,7 +231,21 @@ class Front:
     def _begin(self, live: Live, worker: WorkerProcess) -> None:
         live.worker = worker
         worker.games.add(live.game.key)
-        worker.send("begin", live.game.key, msgspec.to_builtins(self._order(live.game)))
+        order = self._order(live.game)
+        if self.preparer.made(order) is None and self.workers.ready_spare() is not None:
+            live.beginning = asyncio.create_task(self._begin_prepared(live, worker, order))
+        else:
+            self._send_order(live, worker, order)
+
+    async def _begin_prepared(self, live: Live, worker: WorkerProcess, order: GameOrder) -> None:
+        await self.preparer.wait(order)
+        if live.worker is worker and not live.game.over:  # else it has moved meanwhile
+            self._send_order(live, worker, order)
+
+    def _send_order(self, live: Live, worker: WorkerProcess, order: GameOrder) -> None:
+        made = self.preparer.made(order)
+        order = msgspec.structs.replace(order, facts=None if made is None else made["facts"])
+        worker.send("begin", live.game.key, msgspec.to_builtins(order))
 
     def _order(self, game: Game) -> GameOrder:
         """What a worker plays as a game."""
@@ -246,6 +258,9 @@ class Front:
     # --- from workers -------------------------------------------------------------------------------------------------
     def heard(self, worker: WorkerProcess, kind: str, key: str, body: Any) -> None:
         """A letter of a worker about a game."""
+        if kind == "prepared":
+            self.preparer.heard(key, body)
+            return
         live = self.lives.get(key)
         if live is None or live.worker is not worker:
             return
@@ -259,23 +274,13 @@ class Front:
                 if connection.agent == body[0]:
                     connection.tell(body[1])
         elif kind == "begun":
-            live.begun.set_result(self._stored(body))
+            made = self.preparer.made(self._order(live.game))
+            assert made is not None, "it comes before"
+            live.begun.set_result({**made, **body})
         elif kind == "failed":
             self._over(live, {"ended": "failed", "why": body, "path": "", "steps": 0, "texts": {}})
         elif kind == "over":
             self._over(live, body)
-
-    def _stored(self, body: dict[str, Any]) -> dict[str, Any]:
-        """Keeps the files of a world; returns the rest."""
-        glb, grid = body.pop("glb"), body.pop("grid")
-        name = f"{hashlib.sha256(glb).hexdigest()[:20]}.glb"
-        grid_name = body["manifest"]["sdf"]["url"].rpartition("/")[2]
-        for file, data, kind in ((name, glb, "model/gltf-binary"), (grid_name, grid, "application/octet-stream")):
-            if file not in self.files:
-                self.files[file] = gzip.compress(data, 6, mtime=0), kind
-        while len(self.files) > 64:
-            del self.files[next(iter(self.files))]
-        return {**body, "glb": f"world/{name}"}
 
     def _over(self, live: Live, over: dict[str, Any]) -> None:
         if live.game.over:

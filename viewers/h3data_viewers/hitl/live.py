@@ -104,6 +104,8 @@ class LiveGame:
         if order is not None:
             info = {**order.info, "hitl": {**info["hitl"], **order.hitl}}
         self.index, self.path, self.slipped = index, path, 0
+        if order is not None and order.facts:
+            table.task.recall(episode, order.facts)
         self.session = Session(table.task, episode, policies, sink=sink, episode_id=str(index), info=info)
         self.app: App = table.app()
         self.app.reset(self.session)

@@ -59,6 +59,13 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     """What else its recording says (``info``)."""
     hitl: dict[str, Any] = {}
     """What else its recording says in ``info["hitl"]``."""
+    facts: dict[str, Any] | None = None
+    """What the process that has prepared the episode found out about it (`Task.foresight`); None: nobody has prepared it."""
+
+
+def prepared_key(order: GameOrder) -> str:
+    """Names what has been prepared for an episode, whoever plays it."""
+    return f"{order.plan}/{order.index}"
 
 
 def recording_name(index: int) -> str:

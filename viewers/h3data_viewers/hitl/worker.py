@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import gzip
 import logging
 import signal
 import socket
@@ -23,7 +24,7 @@ from h3data_viewers.hitl import assets
 from h3data_viewers.hitl.channel import Channel, Closed
 from h3data_viewers.hitl.live import LiveGame, Table
 from h3data_viewers.hitl.messages import PERIOD_S, Act, Drop, GoTo, Leave, Move, Pick, decode
-from h3data_viewers.hitl.plan import GameOrder, PlayPlan
+from h3data_viewers.hitl.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_BEHIND = 3
 """Steps that a late game catches up at once; beyond that its clock slips, and the recording says so."""
@@ -81,7 +82,7 @@ class Worker:
         self.games: dict[str, Running] = {}
         self.stops, self.finishes = False, True
         self._reported = time.monotonic()
-        self._prepared: dict[tuple[int, int], tuple[dict[str, Any], bytes, bytes]] = {}
+        self._prepared: dict[tuple[int, int], dict[str, Any]] = {}
 
     def table(self, number: int) -> Table:
         """The table of plan ``number``."""
@@ -89,16 +90,22 @@ class Worker:
             self.tables[number] = Table(self.plans[number])
         return self.tables[number]
 
-    def prepare(self, plan: int, index: int) -> tuple[dict[str, Any], bytes, bytes]:
-        """Manifest, GLB and distance grid of an episode; made once. Also does whatever the end of the episode will need."""
+    def made(self, plan: int, index: int) -> dict[str, Any]:
+        """Manifest, GLB and distance grid of an episode, both compressed, and facts that its end will need; made once."""
         if (plan, index) not in self._prepared:
-            game = LiveGame(self.table(plan), index)
-            data, entry = assets.distance_grid(game.session)
+            table = self.table(plan)
+            game = LiveGame(table, index)
+            grid, entry = assets.distance_grid(game.session)
             glb = assets.world_glb(game.session)
-            told = assets.manifest(game.session, game.app, entry)
-            game.step()
-            game.close()  # some facts about an episode take a second, once
-            self._prepared = {(plan, index): (told, glb, data)} | dict(list(self._prepared.items())[:7])
+            prepared = {
+                "manifest": assets.manifest(game.session, game.app, entry),
+                "glb": [f"{assets.digest(glb)}.glb", gzip.compress(glb, 6, mtime=0)],
+                "grid": [entry["url"].rpartition("/")[2], gzip.compress(grid, 6, mtime=0)],
+                "agents": list(table.numbers),
+                "facts": table.task.foresight(game.session.episode),
+            }
+            game.session.abort()
+            self._prepared = {(plan, index): prepared} | dict(list(self._prepared.items())[:7])
         return self._prepared[plan, index]
 
     def warm_up(self) -> None:
@@ -112,7 +119,7 @@ class Worker:
             kind = plan.app, plan.seats, plan.partner, repr(plan.rules)
             if kind not in kinds:  # plans that differ in their homes run the same kernels
                 kinds.add(kind)
-                self.prepare(number, 0)
+                self.made(number, 0)
                 rehearse(self.table(number))
         # all that is alive now stays: the collector need not look at it 30 times a second
         gc.collect()
@@ -168,14 +175,17 @@ class Worker:
         self.games.clear()
 
     # --- letters of the front -----------------------------------------------------------------------------------------
+    def prepare(self, key: str, body: dict[str, Any]) -> None:
+        """Sends what pages need of an episode."""
+        self.channel.send("prepared", key, self.made(int(body["plan"]), int(body["index"])))
+
     def begin(self, key: str, body: dict[str, Any]) -> None:
         order = msgspec.convert(body, GameOrder)
-        table = self.table(order.plan)
-        told, glb, grid = self.prepare(order.plan, order.index)
-        game = table.begin(order)
+        if order.facts is None:
+            self.prepare(prepared_key(order), {"plan": order.plan, "index": order.index})
+        game = self.table(order.plan).begin(order)
         self.games[key] = Running(key, game)
-        answer = {"manifest": told, "glb": glb, "grid": grid, "agents": list(table.numbers)}
-        self.channel.send("begun", key, {**answer, "steps": len(game.session.recorder)})
+        self.channel.send("begun", key, {"steps": len(game.session.recorder)})
 
     def here(self, key: str, body: dict[str, Any]) -> None:
         """Somebody came or went. The world stands still until all who play are there."""
@@ -305,6 +315,7 @@ class Worker:
 
 
 _HANDLERS = {
+    "prepare": Worker.prepare,
     "begin": Worker.begin,
     "here": Worker.here,
     "input": Worker.input,

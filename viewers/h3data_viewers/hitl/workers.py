@@ -14,12 +14,16 @@ from typing import Any
 import msgspec
 
 from h3data_viewers.hitl.channel import encode, receive
-from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_UNSENT = 1 << 20
 """Messages of players are dropped while a worker has this many bytes still to read: it is stuck, and the front must not be."""
 EXPECTED_SHARE = 0.06
 """Share of a core that a game takes before one has been measured."""
+MOST_FILES, MOST_EPISODES = 160, 512
+"""Kept by the front of what has been prepared."""
+PREPARE_S = 20.0
+"""After this time the worker that plays prepares an episode itself."""
 READY_S = 600.0
 """A worker may compile kernels for minutes, once per machine."""
 
@@ -139,6 +143,13 @@ class Workers:
         """Where the next game should go."""
         return min(self.active, key=lambda worker: (round(worker.with_one_more, 1), len(worker.games)))
 
+    def ready_spare(self) -> WorkerProcess | None:
+        """The warm spare, if there is one."""
+        spare = self.spare
+        if spare is None or not spare.done() or spare.cancelled() or spare.exception() is not None:
+            return None
+        return spare.result()
+
     def _lost(self, worker: WorkerProcess) -> None:
         if worker in self.active and not self._stops:
             self.active.remove(worker)
@@ -160,3 +171,55 @@ class Workers:
                 self.active.append(self.spare.result())
             self.spare.cancel()
         await asyncio.gather(*(worker.stop(seconds, finish=finish) for worker in self.active))
+
+
+class Preparer:
+    """What pages need of episodes, made by the spare worker before they begin: files of a home and a look ahead take half a
+    second, for which all games of the worker that plays would stand still."""
+
+    def __init__(self, workers: Workers) -> None:
+        self._workers = workers
+        self.files: dict[str, tuple[bytes, str]] = {}
+        """By name: content, gzip-compressed, and its type."""
+        self._made: dict[str, dict[str, Any]] = {}
+        self._asked: dict[str, tuple[WorkerProcess, asyncio.Future[None]]] = {}
+
+    def heard(self, key: str, body: dict[str, Any]) -> None:
+        """Keeps what a worker has made."""
+        for what, kind in (("glb", "model/gltf-binary"), ("grid", "application/octet-stream")):
+            name, data = body[what]
+            self.files.pop(name, None)
+            self.files[name] = data, kind
+        while len(self.files) > MOST_FILES:
+            del self.files[next(iter(self.files))]
+        kept = {"manifest": body["manifest"], "agents": body["agents"], "facts": body["facts"]}
+        self._made.pop(key, None)
+        self._made[key] = {**kept, "glb": f"world/{body['glb'][0]}", "names": [body["glb"][0], body["grid"][0]]}
+        while len(self._made) > MOST_EPISODES:
+            del self._made[next(iter(self._made))]
+        asked = self._asked.pop(key, None)
+        if asked is not None and not asked[1].done():
+            asked[1].set_result(None)
+
+    def made(self, order: GameOrder) -> dict[str, Any] | None:
+        """What has been prepared for an episode, if its files are still there."""
+        found = self._made.get(prepared_key(order))
+        return found if found is not None and all(name in self.files for name in found["names"]) else None
+
+    def ask(self, order: GameOrder) -> asyncio.Future[None] | None:
+        """Has an episode prepared; None where there is nobody to do that, or nothing to do."""
+        key, spare = prepared_key(order), self._workers.ready_spare()
+        if spare is None or self.made(order) is not None:
+            return None
+        asked = self._asked.get(key)
+        if asked is None or asked[0] is not spare:  # another spare than that which was asked: that one is busy playing
+            spare.send("prepare", key, {"plan": order.plan, "index": order.index})
+            asked = self._asked[key] = spare, asyncio.get_running_loop().create_future()
+        return asked[1]
+
+    async def wait(self, order: GameOrder) -> dict[str, Any] | None:
+        """What has been prepared for an episode; None: the worker that plays it has to do it."""
+        asked = self.ask(order)
+        if asked is not None:
+            await asyncio.wait([asked], timeout=PREPARE_S)
+        return self.made(order)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import pytest
 
 from h3data.recording import read_mcap
 from h3data_viewers.hitl.study.files import make_plan, open_store
@@ -137,6 +138,7 @@ async def killed(folder: Path, server: Server) -> None:
                     assert person.stage["status"] == "complete"
 
 
+@pytest.mark.slow
 def test_a_killed_and_a_stopped_server_go_on_in_the_middle_of_an_episode(tmp_path: Path) -> None:
     folder = tmp_path / "tiny-1"
     with serve(folder, 4.0) as server:

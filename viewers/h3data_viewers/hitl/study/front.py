@@ -304,6 +304,9 @@ class StudyFront(Front):
         return consent_view(self.design, language)
 
     def _view(self, participant: Participant) -> dict[str, Any]:
+        stage = participant.progress.stage
+        if stage.kind in ("tutorial", "episode"):  # while they read what comes next
+            self.preparer.ask(order_of(self.study, participant, game_key(participant, stage)))
         return stage_view(self.design, participant)
 
     async def _reseat(self, participant: Participant, token: str) -> None:

@@ -1,0 +1,86 @@
+"""Episodes are prepared by the spare worker, so that games that go on do not stand still."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from h3data_viewers.hitl import workers as module
+from h3data_viewers.hitl.live import Table
+from h3data_viewers.hitl.plan import GameOrder, PlayPlan
+from h3data_viewers.hitl.workers import Preparer
+from sim_kinematic.tasks.rearrange import task as rearrange
+
+ORDER = GameOrder(index=3, name="000003")
+MADE = {"manifest": {}, "agents": [1], "facts": {"solo_steps": 7}, "glb": ["a.glb", b"x"], "grid": ["b.sdf", b"y"]}
+
+
+class Spare:
+    def __init__(self) -> None:
+        self.letters: list[tuple[str, str, Any]] = []
+
+    def send(self, kind: str, key: str, body: Any) -> None:
+        self.letters.append((kind, key, body))
+
+
+class Spares:
+    """Workers of which one is spare."""
+
+    def __init__(self, spare: Spare | None) -> None:
+        self.spare = spare
+
+    def ready_spare(self) -> Spare | None:
+        return self.spare
+
+
+def test_what_the_spare_found_out_is_not_simulated_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def simulated(_: Any) -> int:
+        raise AssertionError("the worlds of others would stand still")
+
+    monkeypatch.setattr(rearrange, "_simulated_solo_steps", simulated)
+    table = Table(PlayPlan(app="rearrange", out=str(tmp_path), partner="still", scenes="small:2"))
+    game = table.begin(GameOrder(index=5, name="x", facts={"solo_steps": 432}))
+    game.step()
+    recording = game.close()
+    assert recording is not None
+    assert recording.episode.info["solo_steps"] == 432
+
+
+def test_an_episode_is_asked_for_once_and_waited_for() -> None:
+    async def ask() -> None:
+        spare = Spare()
+        preparer = Preparer(Spares(spare))  # type: ignore[arg-type]
+        waiting = asyncio.create_task(preparer.wait(ORDER))
+        await asyncio.sleep(0)
+        assert preparer.ask(ORDER) is not None
+        assert spare.letters == [("prepare", "0/3", {"plan": 0, "index": 3})]
+        preparer.heard("0/3", dict(MADE))
+        made = await waiting
+        assert made is not None
+        assert (made["glb"], made["facts"]) == ("world/a.glb", {"solo_steps": 7})
+        assert preparer.files["b.sdf"] == (b"y", "application/octet-stream")
+        assert preparer.ask(ORDER) is None, "it has been made"
+        for k in range(module.MOST_FILES):
+            preparer.heard(f"1/{k}", {**MADE, "glb": [f"{k}.glb", b"x"]})
+        assert preparer.made(ORDER) is None, "its home has made room for others"
+
+    asyncio.run(ask())
+
+
+def test_without_a_spare_or_with_one_that_says_nothing_the_worker_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "PREPARE_S", 0.05)
+
+    async def ask() -> None:
+        workers = Spares(None)
+        preparer = Preparer(workers)  # type: ignore[arg-type]
+        assert await preparer.wait(ORDER) is None
+        workers.spare = first = Spare()
+        assert await preparer.wait(ORDER) is None
+        workers.spare = second = Spare()
+        preparer.ask(ORDER)
+        assert len(first.letters) == len(second.letters) == 1, "another spare is asked again"
+
+    asyncio.run(ask())
