@@ -26,8 +26,9 @@ test: setup
 test-all: setup  ## the slow ones too
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not gpu and not bench"
 
-test-browser: setup  ## h3data play in Chromium, by scripted players; skipped, and says why, where Chromium or node packages are missing
+test-browser: setup  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
 	$(BIN)/python -m pytest -m browser -rs
+	$(BIN)/python -m pytest -m slow -rs tests/viewers/hitl
 
 check-docs: setup  ## README and docs run as written, on small data (7 minutes)
 	$(BIN)/python -m pytest -n 2 -m slow tests/product/test_docs_run.py

@@ -21,6 +21,9 @@ from h3data_viewers.hitl.workers import Preparer, WorkerProcess, Workers
 
 PAGE = Path(__file__).parent / "web" / "dist"
 RATE_PER_S, BURST = 90.0, 180.0
+CAN_S = 0.09
+"""Previews that are asked for sooner after each other are not answered: each takes milliseconds of everybody's worker. A page
+asks every 120 ms."""
 MOST_BUSY = 0.7
 """Share of a core that a worker's games may take: beyond it a further one would slow down all others."""
 MOST_SPECTATORS = 20
@@ -365,7 +368,7 @@ class Front:
         return socket
 
     async def _listen(self, live: Live, connection: Connection, socket: web.WebSocketResponse) -> None:
-        allowance, last = BURST, time.monotonic()
+        allowance, last, asked = BURST, time.monotonic(), 0.0
         async for frame in socket:
             now = time.monotonic()
             allowance, last = min(BURST, allowance + (now - last) * RATE_PER_S) - 1, now
@@ -387,6 +390,9 @@ class Front:
             if connection.agent < 0 or live.worker.is_stuck:
                 continue
             if isinstance(message, Can):
+                if now - asked < CAN_S:
+                    continue
+                asked = now
                 live.worker.send("can", live.game.key, [connection.agent, list(message.p)])
             else:
                 live.worker.send("input", live.game.key, [connection.agent, frame.data, time.monotonic() * 1e3])
