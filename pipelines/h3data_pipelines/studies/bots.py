@@ -34,8 +34,8 @@ class StudyBots:
     Examples:
         h3data study bots study.toml --participants 3
         h3data study bots study.toml --workers 2
-        h3data study bots study.toml --speed 1 --participants 2      # in real time, as people play
-        h3data study bots study.toml --link http://127.0.0.1:8080/   # a server that runs already; takes its places
+        h3data study bots study.toml --speed 1 --participants 2
+        h3data study bots study.toml --link http://127.0.0.1:8080/
     """
 
     study: tyro.conf.Positional[Path]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -124,19 +125,19 @@ class StudyCompare:
         folder, design = open_study(self.study)
         people = finished(list(open_store(folder, design).participants.values()), everybody=self.everybody)
         files, _ = usable_recordings(folder, design, people)
-        policies = {c.name: c.partner for c in design.conditions if c.partner and not c.is_solo}
+        policies = [c.partner for c in design.conditions if c.partner and not c.is_solo]
         data = gather([*files, self.automatic])
         runs = [
-            replace(run, episodes=tuple(_by_policy(e, policies) for e in run.episodes))
+            replace(run, episodes=tuple(_by_policy(e) for e in run.episodes))
             for run in data.runs
         ]  # fmt: skip
         tables = [t for task in data.tasks if (t := rank_table([run for run in runs if run.task == task])) is not None]
         if not tables:
             automatic = sorted({e.policy or run.name for run in runs for e in run.episodes if not studied(e)})
             raise InputError(
-                f"Expected two or more policies that are both in the study ({', '.join(policies.values()) or 'none'}) and in "
+                f"Expected two or more policies that are both in the study ({', '.join(policies) or 'none'}) and in "
                 f"the automatic evaluation ({', '.join(automatic) or 'none'}). Hint: h3data evaluate rearrange --policies "
-                f"{','.join(policies.values())} -o {self.automatic}"
+                f"{','.join(policies)} -o {self.automatic}"
             )
         text = "\n\n".join([*map(to_markdown, tables), *_bots(people)])
         return Outcome(text=text, data={"tables": [_table_data(table) for table in tables]}, result=tables)
@@ -183,8 +184,10 @@ def usable_recordings(folder: Path, design: Design, people: Sequence[Participant
     return files, left_out
 
 
-def _by_policy(episode: Any, policies: dict[str, str]) -> Any:
-    return replace(episode, condition=policies.get(episode.condition, episode.condition))
+def _by_policy(episode: Any) -> Any:
+    """The episode, its condition called by the robot's policy; files of weights by their name and digest, wherever they lie."""
+    policy = re.sub(r"^weights:.*/", "weights:", episode.policy)
+    return replace(episode, policy=policy, condition=policy or episode.condition if episode.condition else "")
 
 
 def _bots(people: Sequence[Participant]) -> list[str]:

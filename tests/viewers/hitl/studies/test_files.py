@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,10 @@ import h3data_viewers.hitl.study as package
 from h3data.errors import InputError
 from h3data_viewers.hitl.study.files import make_plan, read_design, study_folder
 from h3data_viewers.hitl.study.forms import BUILTIN, checked_answers, forms_after, resolved, score
+from tests.paths import ROOT
 from tests.viewers.hitl.studies.tiny import TINY, tiny, write_tiny
+
+WEIGHTS = ROOT / "datasets" / "policies" / "learned_follower.npz"
 
 
 def test_the_example_is_a_study_and_its_comments_name_the_defaults(tmp_path: Path) -> None:
@@ -113,6 +118,16 @@ def test_places_are_balanced_and_nobody_gets_an_episode_twice(tmp_path: Path) ->
     assert set(scenes.values()) == {4}
     assert make_plan(design, folder) == plan
     assert not str(plan.key_file).startswith(str(folder) + "/"), "whoever gets the folder must not get the key"
+
+
+def test_weights_are_found_beside_the_study_and_are_part_of_it(tmp_path: Path) -> None:
+    condition = {"name": "net", "app": "social_nav", "partner": "weights:net.npz"}
+    with pytest.raises(InputError, match=r"net\.npz"):
+        read_design(write_tiny(tmp_path, conditions=[condition]))
+    shutil.copy(WEIGHTS, tmp_path / "net.npz")
+    partner = read_design(tmp_path / "study.toml").conditions[0].partner
+    assert partner is not None
+    assert re.fullmatch(rf"weights:{tmp_path}/net\.npz@[0-9a-f]{{12}}", partner)
 
 
 def test_one_condition_is_a_study(tmp_path: Path) -> None:

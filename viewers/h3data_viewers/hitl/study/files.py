@@ -18,6 +18,8 @@ from h3data_viewers.hitl.study.design import Block, Condition, Consent, Design, 
 from h3data_viewers.hitl.study.forms import BUILTIN, resolved
 from h3data_viewers.hitl.study.store import DATABASE, StudyStore
 from h3data_viewers.hitl.study.texts import ENGLISH
+from sim_kinematic.policies.learned import PREFIX as WEIGHTS
+from sim_kinematic.policies.learned import is_learned, stamped
 
 DESIGN_FILE = "design.json"
 """In the folder of a study: what its file said when the first participant came."""
@@ -46,6 +48,7 @@ def read_design(path: Path) -> Design:
     design = _with_consent(design, path)
     try:
         _check(design)
+        design = _with_weights(design, path)
     except InputError as fault:
         raise InputError(f"{fault} File: {path}") from None
     return design
@@ -79,6 +82,17 @@ def _with_consent(design: Design, path: Path) -> Design:
     if not design.consent.text:
         raise InputError(f"The consent has no text: set text or file in [consent]. File: {path}")
     return design
+
+
+def _with_weights(design: Design, path: Path) -> Design:
+    """Files of weights, named from the study file's folder, with their digest: other weights are another study."""
+    conditions = []
+    for condition in design.conditions:
+        if condition.partner is not None and is_learned(condition.partner):
+            file = path.parent.resolve() / condition.partner.removeprefix(WEIGHTS)
+            condition = msgspec.structs.replace(condition, partner=stamped(f"{WEIGHTS}{file}"))
+        conditions.append(condition)
+    return msgspec.structs.replace(design, conditions=conditions)
 
 
 def _check(design: Design) -> None:
