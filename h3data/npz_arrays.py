@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import io
 import zipfile
 import zlib
 from collections.abc import Collection
@@ -21,7 +22,7 @@ MAX_BYTES = 1 << 30
 _DAMAGES = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, zlib.error, ValueError)
 
 
-def npz_names(path: Path) -> tuple[str, ...]:
+def npz_names(path: Path | io.BytesIO) -> tuple[str, ...]:
     """Names of the arrays in an npz file.
 
     Raises:
@@ -37,7 +38,7 @@ def npz_names(path: Path) -> tuple[str, ...]:
         raise FormatError(f"Expected an npz file, this is none ({error}): {path}") from None
 
 
-def npz_members(path: Path, names: Collection[str] | None = None) -> dict[str, Any]:
+def npz_members(path: Path | io.BytesIO, names: Collection[str] | None = None) -> dict[str, Any]:
     """The existing members among ``names`` (all by default): arrays, or the value that a pickled one holds."""
     try:
         with zipfile.ZipFile(path) as archive:
@@ -54,7 +55,7 @@ def npz_members(path: Path, names: Collection[str] | None = None) -> dict[str, A
         raise FormatError(f"Expected an npz file, this is none or it is damaged ({error}): {path}") from None
 
 
-def npz_arrays(path: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+def npz_arrays(path: Path | io.BytesIO, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
     """As `npz_members`, plain arrays only: a pickled one is an error that names it."""
     members = npz_members(path, names)
     for name, value in members.items():
@@ -63,7 +64,7 @@ def npz_arrays(path: Path, names: Collection[str] | None = None) -> dict[str, ND
     return members
 
 
-def _npy(data: bytes, name: str, path: Path) -> Any:
+def _npy(data: bytes, name: str, path: Path | io.BytesIO) -> Any:
     width = 2 if data[6:7] == b"\x01" else 4
     length = int.from_bytes(data[8 : 8 + width], "little")
     try:

@@ -31,7 +31,7 @@ def is_pickle(data: bytes) -> bool:
     return len(data) > 1 and data[0] == 0x80 and 2 <= data[1] <= 5
 
 
-def load_pickle(data: bytes, path: Path, *, records: Mapping[tuple[str, str], Any] | None = None) -> Any:
+def load_pickle(data: bytes, path: Path | io.BytesIO, *, records: Mapping[tuple[str, str], Any] | None = None) -> Any:
     """Loads dicts with text or integer keys, lists, tuples, numbers, texts, None and NumPy arrays.
 
     Args:

@@ -1,8 +1,9 @@
 """Who moves: people (skeleton, skin, motion clips) and robots (URDF), their meshes and collision shapes."""
 
+from h3data.bodies.names import load_humanoid
 from h3data.bodies.people.clips import Clip
 from h3data.bodies.people.humanoid import BodyCapsule, Humanoid, SkinnedMesh
-from h3data.bodies.people.humanoid_file import humanoid_names, load_humanoid
+from h3data.bodies.people.humanoid_file import humanoid_names
 from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.bodies.robots.ik import IkResult, solve_ik
 from h3data.bodies.robots.robot import JointTargets, Robot, RobotCamera, RobotLeg, RobotLink

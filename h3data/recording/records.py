@@ -192,6 +192,7 @@ class Recording:
             raise FormatError(
                 f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + "."
             )
+        _keep_walks(self.attachments)
 
     def __len__(self) -> int:
         return len(self.columns["time_ns"])
@@ -251,6 +252,17 @@ class RecordingHeader:
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """Arrays whose dtypes and trailing shapes fix the columns (their rows are ignored); empty: the first rows decide."""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _keep_walks(self.attachments)
+
+
+def _keep_walks(attachments: Mapping[str, bytes]) -> None:
+    """Makes the imported walks of people known, which their models name."""
+    if any(name != "scene.glb" for name in attachments):  # importing bodies takes a while
+        from h3data.bodies.motion.walk_import import keep_walks
+
+        keep_walks(attachments)
 
 
 def _faults(rec: Recording) -> list[str]:

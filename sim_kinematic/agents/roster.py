@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from h3data.bodies import Robot, humanoid_names, is_robot, load_humanoid, load_robot, robot_names
+from h3data.bodies.motion.walk_names import JOIN, split_walk
 from h3data.bodies.people.random_humanoid import is_random
 from h3data.errors import InputError, SceneError, did_you_mean
 from h3data.geometry import Array
@@ -47,7 +48,7 @@ def make_roster(
     Args:
         agents: A sequence, or names separated by commas. Each is ``robot`` or ``human``; the name of a body; a file: a
             URDF, a ``robot.toml`` or its folder for a robot, an .npz for a person; or its kind and one of these,
-            ``robot:../fetch.urdf``, ``human:male_1``.
+            ``robot:../fetch.urdf``, ``human:male_1``. Behind a person, ``+`` and a motion file is how they walk.
         robot: Body of each ``robot``.
         human: Body of each ``human``.
 
@@ -64,9 +65,38 @@ def make_roster(
     for kind, model in sorted(parsed, key=lambda pair: pair[0] != "robot"):
         count[kind] += 1
         name = kind if total[kind] == 1 else f"{kind}_{count[kind]}"
+        model = model if kind == "robot" else _stored(model)
         body = load_robot(model) if kind == "robot" else load_humanoid(model)
         roster.append(AgentSpec(kind=kind, name=name, model=model, body=body))
     return tuple(roster)
+
+
+def with_body(human: str | None, body: str) -> str:
+    """The person that is asked for; of a motion alone (``+walk.npz``) with the episode's own body, else the default one."""
+    body = body or HUMAN_BODY
+    if human is None:
+        return body
+    return body + human if human.startswith(JOIN) else human
+
+
+def with_motion(agents: Sequence[str], motion: str) -> tuple[str, ...]:
+    """The agents of `make_roster`, of which those people who are named by their body walk as ``motion`` (``+walk.npz``)."""
+
+    def is_named(name: str) -> bool:
+        kind, colon, model = name.partition(":")
+        body = model if kind == "human" and colon else name
+        return name not in ("robot", "human") and kind != "robot" and is_person(body) and not split_walk(body)[1]
+
+    return tuple(name + motion if is_named(name) else name for name in agents)
+
+
+def _stored(model: str) -> str:
+    """The name by which recordings know a person; ``+walk.npz`` alone is the default body."""
+    if JOIN not in model:
+        return model
+    from h3data.bodies.motion.walk_import import stored_name
+
+    return stored_name(with_body(model, HUMAN_BODY))
 
 
 def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
@@ -75,7 +105,7 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
         return kind, model if colon else robot
     if kind == "human":
         return kind, model if colon else human
-    if name in humanoid_names() or str(name).endswith(".npz") or is_random(str(name)):
+    if is_person(str(name)):
         return "human", name
     if isinstance(name, str) and is_robot(name):
         return "robot", name
@@ -84,6 +114,12 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
         f"Unknown agent {name!r}.{did_you_mean(str(name), known)} Expected one of {', '.join(known)}, a robot's .urdf, "
         "robot.toml or folder, or a person's .npz file."
     )
+
+
+def is_person(name: str) -> bool:
+    """Whether a name, which is no kind, means a person: a body, ``random:SEED``, a file, or one of these with a motion."""
+    body, motion = split_walk(name)
+    return body in humanoid_names() or body.endswith(".npz") or is_random(body) or bool(motion and not body)
 
 
 def kinds_of(roster: Sequence[AgentSpec]) -> tuple[Kind, ...]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
+from h3data.bodies.motion.walk_names import JOIN
 from h3data.recording import (
     Agent,
     AssetRef,
@@ -199,6 +200,12 @@ def describe(
         info["task"] = reference
     if task.profile:
         info["profile"] = task.profile
+    people = [member.model for member in episode.roster if member.kind == "human"]
+    walks: dict[str, bytes] = {}
+    if any(JOIN in model for model in people):
+        from h3data.bodies.motion.walk_import import walk_attachments, walk_facts
+
+        walks, info["motions"] = walk_attachments(people), walk_facts(people)
     external = [k for k, policy in enumerate(policies) if policy.is_external]
     if external:
         info["external"] = external
@@ -216,7 +223,7 @@ def describe(
         assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
         bodies=task.bodies(episode, scene_bodies(scene)),
         agents=tuple(_agent(task, *pair) for pair in zip(episode.roster, policies, strict=True)),
-        attachments={"scene.glb": file},
+        attachments={"scene.glb": file, **walks},
     )
 
 

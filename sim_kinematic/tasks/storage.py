@@ -9,13 +9,14 @@ from typing import Any, ClassVar, Generic, TypeVar
 import msgspec
 import numpy as np
 
+from h3data.bodies.motion.walk_names import JOIN, split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
 from h3data.habitat.episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.scene_sets import SceneSource
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster, with_motion
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
 
 SNAP_M = 0.05
@@ -119,7 +120,7 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
     def record(self, episode: Episode) -> TaskRecord:
         return TaskRecord(
             starts=tuple((float(x), float(z), float(heading)) for x, z, heading in episode.starts.tolist()),
-            agents=tuple(f"{member.kind}:{member.model}" for member in episode.roster),
+            agents=tuple(f"{member.kind}:{split_walk(member.model)[0]}" for member in episode.roster),
             extra=plain(dict(episode.extra)),
             seed=episode.seed,
             scene_sha256=scene_digest(episode.scene),
@@ -149,6 +150,8 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
 
     def episode(self, record: TaskRecord, place: EpisodePlace) -> Episode:
         names = place.agents or record.agents
+        if place.human is not None and place.human.startswith(JOIN):  # a motion alone, for everybody
+            names = with_motion(names, place.human)
         roster = make_roster(names, robot=place.robot or ROBOT_BODY, human=place.human or HUMAN_BODY)
         self._check_roster(roster)
         starts = np.array(record.starts, np.float64).reshape(-1, 3)

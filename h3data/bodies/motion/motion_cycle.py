@@ -55,6 +55,8 @@ class Loop:
     end_s: float
     gap_m: float
     """Root mean square distance of the joints at the seam, velocities included (0.15 s of them) [m]."""
+    spread_m: float = 0.0
+    """The same from all poses to their mean."""
 
 
 def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Loop:
@@ -80,7 +82,12 @@ def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: floa
     differ = np.sqrt(np.mean(np.sum((features - features.mean(axis=0)) ** 2, axis=-1)))
     shortest = min(lag for gap, _, lag in found if np.sqrt(gap) <= np.sqrt(best) + ALIKE * differ)
     gap, start, lag = min(entry for entry in found if shortest <= entry[2] <= 1.15 * shortest)
-    return Loop(start_s=start / searched.fps, end_s=(start + lag) / searched.fps, gap_m=float(np.sqrt(gap)))
+    return Loop(
+        start_s=start / searched.fps,
+        end_s=(start + lag) / searched.fps,
+        gap_m=float(np.sqrt(gap)),
+        spread_m=float(differ),
+    )
 
 
 def _features(motion: Motion, body: Humanoid) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -125,23 +126,30 @@ def habitat_clip_motion(clip: HabitatClip, *, name: str, source: str = "") -> Mo
 # --- ours -----------------------------------------------------------------------------------------------------------------
 def save_motion(motion: Motion, path: str | Path) -> None:
     """Write a motion as npz (compressed, no pickle); equal motions give equal bytes."""
-    with part_file(path) as part, part.open("wb") as stream:
-        np.savez_compressed(
-            stream, format=np.array(FORMAT), name=np.array(motion.name), fps=np.float64(motion.fps),
-            joint_names=np.array(JOINT_NAMES), quats=motion.quats.astype(np.float64),
-            pelvis=motion.pelvis.astype(np.float64), leg_m=np.float64(np.nan if motion.leg_m is None else motion.leg_m),
-            body=np.array(motion.body), source=np.array(motion.source),
-        )  # fmt: skip
+    with part_file(path) as part:
+        part.write_bytes(motion_bytes(motion))
 
 
-def load_motion(path: str | Path) -> Motion:
+def motion_bytes(motion: Motion) -> bytes:
+    """What `save_motion` writes."""
+    stream = io.BytesIO()
+    np.savez_compressed(
+        stream, format=np.array(FORMAT), name=np.array(motion.name), fps=np.float64(motion.fps),
+        joint_names=np.array(JOINT_NAMES), quats=motion.quats.astype(np.float64),
+        pelvis=motion.pelvis.astype(np.float64), leg_m=np.float64(np.nan if motion.leg_m is None else motion.leg_m),
+        body=np.array(motion.body), source=np.array(motion.source),
+    )  # fmt: skip
+    return stream.getvalue()
+
+
+def load_motion(path: str | Path | io.BytesIO) -> Motion:
     """Read what `save_motion` wrote.
 
     Raises:
         FormatError: it is something else, of a newer version, or damaged.
         InputError: there is no such file.
     """
-    path = Path(path)
+    path = path if isinstance(path, io.BytesIO) else Path(path)
     data = npz_arrays(path)
     found = str(data.get("format", "another npz file"))
     if found != FORMAT:

@@ -12,14 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies.people.gait import (
     JOG,
+    PARAMETERS,
+    STAND_ANKLE_Z_M,
     TURN_PER_CYCLE_RAD,
     TURN_START_PHASE,
     WALK,
-    GaitStyle,
     gait_posture,
     jog_stride,
     stand_posture,
-    start_phase,
+    strike_ahead,
     turn_posture,
     walk_stride,
 )
@@ -102,6 +103,20 @@ class Gaits:
             return gait_posture(JOG, self.legs, self.stride_m(speed_mps), self.jog, phase)
         return gait_posture(WALK, self.legs, self.stride_m(speed_mps), self.walk_values(speed_mps), phase)
 
+    def stance(self, speed_mps: float) -> float:
+        """Share of the cycle that a foot spends on the floor at a speed [m/s]."""
+        return (JOG if speed_mps > JOG_ABOVE_MPS else WALK).stance
+
+    def strike(self, speed_mps: float) -> float:
+        """How far ahead of the pelvis a foot strikes at a speed [m/s], in strides."""
+        jogs = speed_mps > JOG_ABOVE_MPS
+        values = self.jog if jogs else self.walk_values(speed_mps)
+        return float(strike_ahead(JOG if jogs else WALK, values[PARAMETERS.index("shift")]))
+
+    def start_phase(self, speed_mps: float) -> float:
+        """Phase at which the left foot stands exactly where it stands in the standing pose: where a walk begins."""
+        return self.strike(speed_mps) - STAND_ANKLE_Z_M / float(self.stride_m(speed_mps))
+
     def walk_values(self, speed_mps: ArrayLike) -> Array:
         """Values [..., P] of walking at speeds [...] [m/s], between those fitted."""
         speed = np.asarray(speed_mps, np.float64)
@@ -113,14 +128,12 @@ def make_clips(gaits: Gaits) -> tuple[Clip, ...]:
     legs, phase = gaits.legs, np.arange(CLIP_FRAMES) / CLIP_FRAMES
     clips = [_clip("stand", legs, stand_posture(legs))]
     for speed in (*WALK_SPEEDS_MPS, JOG_SPEED_MPS):
-        style: GaitStyle = JOG if speed > JOG_ABOVE_MPS else WALK
-        values = gaits.jog if style is JOG else gaits.walk[WALK_SPEEDS_MPS.index(speed)]
-        stride = float(gaits.stride_m(speed))
+        stride, name = float(gaits.stride_m(speed)), "jog" if speed > JOG_ABOVE_MPS else "walk"
         clips.append(
             _clip(
-                f"{'jog' if style is JOG else 'walk'}_{speed}", legs, gaits.posture(np.full(CLIP_FRAMES, speed), phase),
-                speed_mps=speed, stride_m=stride, period_s=stride / speed, stance=style.stance,
-                start_phase=start_phase(style, values, stride),
+                f"{name}_{speed}", legs, gaits.posture(np.full(CLIP_FRAMES, speed), phase),
+                speed_mps=speed, stride_m=stride, period_s=stride / speed, stance=gaits.stance(speed),
+                start_phase=gaits.start_phase(speed),
             )
         )  # fmt: skip
     for side in ("left", "right"):

@@ -87,11 +87,6 @@ def amplitude(legs: Legs, stride_m: Array) -> Array:
     return np.minimum(1.0, stride_m / 2 / (0.82 * legs.length))
 
 
-def start_phase(style: GaitStyle, values: Array, stride_m: float) -> float:
-    """Phase at which the left foot stands exactly where it stands in the standing pose: where a walk begins."""
-    return float(strike_ahead(style, values[PARAMETERS.index("shift")]) - STAND_ANKLE_Z_M / stride_m)
-
-
 TURN_START_PHASE = _TURN_STANCE / 2
 
 

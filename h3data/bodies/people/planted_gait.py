@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from h3data.bodies.people.clips import JOG_ABOVE_MPS, TO_ROOT, Gaits
-from h3data.bodies.people.gait import JOG, PARAMETERS, WALK, gait_posture, stand_posture, strike_ahead
+from h3data.bodies.people.clips import TO_ROOT, Gaits
+from h3data.bodies.people.gait import stand_posture
 from h3data.bodies.people.legs import Posture
 from h3data.bodies.people.skeleton import JOINT_COUNT
 from h3data.geometry import Array, heading_from_quat
@@ -41,21 +41,19 @@ def gait_tables(gaits: Gaits) -> GaitTables:
     swing_path[0, :, 1] = legs.ankle_height
     share = np.linspace(0, 1, SHARES)
     for k, speed in enumerate(SPEEDS_MPS[1:], 1):
-        style, values = (JOG, gaits.jog) if speed > JOG_ABOVE_MPS else (WALK, gaits.walk_values(speed))
-        travel[k], stance[k] = float(gaits.stride_m(speed)), style.stance
-        strike[k] = float(strike_ahead(style, values[PARAMETERS.index("shift")]))
+        travel[k], stance[k], strike[k] = float(gaits.stride_m(speed)), gaits.stance(speed), gaits.strike(speed)
 
-        def moment(phase: Array, style=style, values=values, stride=travel[k]) -> Posture:
-            return gait_posture(style, legs, stride, values, phase)
+        def moment(phase: Array, speed=speed) -> Posture:
+            return gaits.posture(np.full(len(phase), speed), phase)
 
         cycle = moment(np.arange(PHASES) / PHASES)
         quats[k], pelvis[k] = cycle.quats, cycle.pelvis
-        stand_foot[k] = moment(share * style.stance * (1 - 1e-9)).foot[:, 0, ::2]
-        flight = moment(style.stance + share * (1 - style.stance) * (1 - 1e-9))
+        stand_foot[k] = moment(share * stance[k] * (1 - 1e-9)).foot[:, 0, ::2]
+        flight = moment(stance[k] + share * (1 - stance[k]) * (1 - 1e-9))
         swing_foot[k] = flight.foot[:, 0, ::2]
-        line = travel[k] * (strike[k] - style.stance + share * share * (3 - 2 * share) * style.stance)
+        line = travel[k] * (strike[k] - stance[k] + share * share * (3 - 2 * share) * stance[k])
         swing_path[k] = np.stack([flight.ankle[:, 0, 2] - line, flight.ankle[:, 0, 1]], axis=-1)
-        swing[k] = np.abs(np.diff(flight.ankle[:, 0, 2])).max() * (SHARES - 1) / (1 - style.stance)
+        swing[k] = np.abs(np.diff(flight.ankle[:, 0, 2])).max() * (SHARES - 1) / (1 - stance[k])
     stance[0], strike[0] = stance[1], strike[1]
     speeds = np.array(SPEEDS_MPS)
     cadence = speeds / np.maximum(travel, 1e-9)

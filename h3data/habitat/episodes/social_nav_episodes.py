@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError
 from h3data.habitat.episodes.rearrange_episode import Matrix, RearrangeEpisode, RigidObject
 from h3data.habitat.episodes.stored_episodes import Start, info_block, plain, read_info_block, start_fields
@@ -118,7 +119,7 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
                 "max_steps": info.get("max_steps", len(recording)),
                 "seed": recording.episode.seed,
                 "robot": recording.agents[robots[0]].model,
-                "human": recording.agents[humans[0]].model,
+                "human": split_walk(recording.agents[humans[0]].model)[0],
                 "scene_sha256": info.get("scene_sha256", ""),
                 "scene_source": plain(info.get("scene_source", {})),
                 "rules": plain(info.get("spec", {})),

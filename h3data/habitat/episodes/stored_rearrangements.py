@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError
 from h3data.geometry import pose_from_matrix
 from h3data.habitat.episodes.partnr_goals import Placement, placements_of
@@ -216,7 +217,7 @@ def rearrangement_of(recording: Recording) -> StoredRearrangement:
                 "floor_y": floor_y,
                 "seed": recording.episode.seed,
                 "robot": models.get("robot", ""),
-                "human": models.get("human", ""),
+                "human": split_walk(models.get("human", ""))[0],
                 "scene_sha256": info.get("scene_sha256", ""),
                 "scene_source": plain(info.get("scene_source", {})),
                 "rules": plain(info.get("spec", {})),

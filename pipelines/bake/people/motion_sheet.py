@@ -1,27 +1,35 @@
-"""docs/pictures/planted.jpg: a person who starts, stops, goes round a curve and turns, frame by frame.
+"""docs/pictures/planted.jpg: a person who starts, stops, goes round a curve and turns, frame by frame; own_walk.jpg: the same
+of somebody who walks as a motion file says.
 
     python -m bake.people.motion_sheet docs/pictures/planted.jpg
+    python -m bake.people.motion_sheet docs/pictures/own_walk.jpg own       # as our own walk, an arm held out
+    python -m bake.people.motion_sheet out/walk.png walk.bvh
 
-Rows are those of `ROWS`. Every third frame is shown, 1/10 s apart.
+Rows are those of `ROWS`, or of `WALK_ROWS`. Every third frame is shown, 1/10 s apart.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, load_humanoid
+from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
+from h3data.bodies.motion.motion_clip import Motion, in_start_frame
+from h3data.bodies.motion.motion_files import save_motion
 from h3data.bodies.people.planted_gait import planted_states, pose_planted
-from h3data.geometry import Array, ground_pose
+from h3data.geometry import Array, ground_pose, quat_from_axis_angle, quat_multiply
 from h3data.render.image_files import write_image
 from h3data.render.sheets.people_sheet import lined_up
 
 FRAMES, EVERY, WIDTH = 12, 3, 1920
 SPACING_M = 1.15
+OWN, WALKER, ARM_DEG = "own", "female_2", 62.0
+"""Name of our own walk, whose left arm is held out by so much, and the body that walks as a file says."""
 Track = tuple[Array, Array]
 """Speeds [m/s] and turning rates [rad/s], each [T]."""
 
@@ -62,6 +70,27 @@ ROWS: dict[str, Callable[[], Track]] = {
 }
 
 
+def steady(speed: float) -> Track:
+    """A walk that goes on."""
+    ahead = np.minimum(np.arange(60 + FRAMES * EVERY) * 1.1 / 30, speed)
+    return ahead, 0 * ahead
+
+
+WALK_ROWS = (start(1.3, 1.1), steady(1.3), stop(1.3, 1.1), curve(1.2, 1.0), turn(1.6), steady(0.6))
+
+
+def own_walk(speed: float = 1.2, fps: float = 60.0, seconds: float = 4.0) -> Motion:
+    """Of male_1, whose left arm is held out to the side."""
+    body, count = load_humanoid("male_1"), round(seconds * fps)
+    way = np.arange(count) * speed / fps
+    quats, pelvis = body.walk_pose(np.full(count, speed), way / body.stride_m(speed))
+    out = quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.radians(ARM_DEG))
+    arm = JOINT_INDEX["left_shoulder"]
+    quats[:, arm] = quat_multiply(np.tile(out, (count, 1)), quats[:, arm])
+    pelvis = pelvis + np.stack([way, 0 * way, 0 * way], -1)
+    return in_start_frame(Motion(name=OWN, fps=fps, quats=quats, pelvis=pelvis, leg_m=body.gaits.legs.length))
+
+
 def row_picture(body: Humanoid, track: Track, *, look: float = 0.0) -> NDArray[np.uint8]:
     """The last frames of a track side by side, RGB [H, W, 3]."""
     speed, turning = track
@@ -78,11 +107,16 @@ def row_picture(body: Humanoid, track: Track, *, look: float = 0.0) -> NDArray[n
     return np.concatenate(pictures, axis=1)
 
 
-def main(target: str) -> None:
+def main(target: str, motion: str = "") -> None:
     """Writes the sheet."""
-    body = load_humanoid("neutral_0")
-    write_image(Path(target), np.concatenate([row_picture(body, track()) for track in ROWS.values()]))
+    with tempfile.TemporaryDirectory() as folder:
+        if motion == OWN:
+            motion = str(Path(folder) / "own.npz")
+            save_motion(own_walk(), motion)
+        body = load_humanoid(f"{WALKER}+{motion}" if motion else "neutral_0")
+    tracks = WALK_ROWS if motion else [track() for track in ROWS.values()]
+    write_image(Path(target), np.concatenate([row_picture(body, track) for track in tracks]))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

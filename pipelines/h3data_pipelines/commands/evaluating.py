@@ -60,6 +60,8 @@ class Evaluate:
     """Everything random follows from it."""
     human: str | None = None
     """Body of the person: a built-in one; any: each episode samples one; random: each makes one (default: female_0)."""
+    motion: Path | None = None
+    """How people walk, as of h3data generate."""
     human_walk: WalkOption | None = None
     """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
     once (default: the episode's, else natural)."""
@@ -91,6 +93,7 @@ class Evaluate:
             homes=self.homes,
             seed=self.seed,
             human=self.human,
+            motion=None if self.motion is None else str(self.motion),
             human_walk=self.human_walk,
             human_speed=self.human_speed,
             max_steps=self.max_steps,

@@ -121,6 +121,9 @@ class Generate:
     human: str | None = None
     """Body of each agent named human: a built-in one; random:SEED; an .npz file; any: each episode samples one of the
     built-in ones; random: each makes people of its own, in wander each person (default: the episode's, else female_0)."""
+    motion: Path | None = None
+    """How people walk: as in a motion file, one of h3data motion import, AMASS, Habitat or BVH (docs/motion.md). It is kept in
+    each recording."""
     human_walk: WalkOption | None = None
     """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
     once (default: the episode's, else natural)."""
@@ -279,6 +282,7 @@ class Generate:
             agents=None if self.agents is None else tuple(name.strip() for name in self.agents.split(",")),
             human=self.human,
             robot=self.robot,
+            motion=None if self.motion is None else str(self.motion),
             human_walk=self.human_walk,
             human_speed=self.human_speed,
             max_steps=self.max_steps,

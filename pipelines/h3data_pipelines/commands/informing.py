@@ -112,7 +112,15 @@ def _outcome(recording: Recording) -> list[str]:
     ended, skills = recording.episode.info.get("ended"), Counter(span.outcome for span in recording.skills)
     lines = [f"  ended    {ended}"] if ended else []
     lines += [f"  skills   {', '.join(f'{count} {name}' for name, count in skills.items())}"] if skills else []
-    return lines + _players(recording)
+    return lines + _walks(recording) + _players(recording)
+
+
+def _walks(recording: Recording) -> list[str]:
+    """Lines about motion files that people walk by."""
+    motions = recording.episode.info.get("motions")
+    facts = motions.items() if isinstance(motions, dict) else ()
+    known = [(file, fact) for file, fact in facts if isinstance(fact, dict)]
+    return [f"  walk     of {fact.get('name')} ({file}) {fact.get('source', '')}".rstrip() for file, fact in known]
 
 
 def _players(recording: Recording) -> list[str]:

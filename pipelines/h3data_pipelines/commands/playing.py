@@ -69,6 +69,8 @@ class Play:
     """How many, one after the other."""
     seconds: float | None = None
     """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
+    motion: Path | None = None
+    """How people walk: as in a motion file, as of h3data generate."""
     human_walk: WalkOption | None = None
     """How fast people walk: natural is 1.3 m/s, paper 2.5 m/s (default: natural)."""
     port: PortOption = 0
@@ -130,7 +132,12 @@ class Play:
             rules["max_steps"] = round(self.seconds * 30)
         if self.human_walk is not None:
             rules["human_walk"] = self.human_walk
+        if self.motion is not None:
+            from h3data.bodies.motion.walk_import import walk_file
+
+            walk_file(str(self.motion.resolve()))  # refuses what cannot be played
         return {
+            **({} if self.motion is None else {"motion": str(self.motion.resolve())}),
             "app": self.app,
             "out": str(out.resolve()),
             "seats": sorted(seats, key=lambda name: name == "spectator"),

@@ -63,8 +63,11 @@ class Job:
 
         apart = ("stored", "origin", "task")
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in apart}
-        if self.agents is not None and not self.found_task.bodies_in_agents:
-            values["agents"] = ",".join(self.agents)
+        if self.human is not None:
+            values["human"] = stored_person(self.human)
+        if self.agents is not None:
+            agents = tuple(map(stored_person, self.agents))
+            values["agents"] = agents if self.found_task.bodies_in_agents else ",".join(agents)
         values |= {name: rules_dict(values[name]) for name in ("spec", "drawn_with") if values.get(name) is not None}
         return json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
 
@@ -126,6 +129,8 @@ class Choices:
     partner: str | None = None
     agents: tuple[str, ...] | None = None
     human: str | None = None
+    motion: str | None = None
+    """Motion file of people's walk."""
     robot: str | None = None
     human_walk: str | None = None
     human_speed: float | None = None
@@ -171,21 +176,31 @@ class Choices:
             **given,
         )
 
+    @property
+    def _motion(self) -> str:
+        """What the name of a person is followed by."""
+        from h3data.bodies.motion.walk_names import JOIN
+
+        return "" if self.motion is None else JOIN + self.motion
+
     def _human(self, seed: int) -> str | None:
+        motion = self._motion
         if self.found_task.bodies_in_agents:
-            return None
-        return sampled_body(self.human, seed) if self.human in SAMPLED_BODIES else self.human
+            return motion or None
+        body = sampled_body(self.human, seed) if self.human in SAMPLED_BODIES else self.human
+        return (body or "") + motion if motion else body
 
     def _agents(self, seed: int) -> tuple[str, ...] | None:
         """The roster; of tasks that may have many people, with a body for each of them."""
-        from sim_kinematic.agents.roster import HUMAN_BODY
+        from sim_kinematic.agents.roster import HUMAN_BODY, with_motion
 
-        if not self.found_task.bodies_in_agents:
-            return self.agents
-        agents = self.agents or self.found_task.agents
-        if (sampled := self.human) in SAMPLED_BODIES:
-            return tuple(sampled_body(sampled, seed, k) if name == "human" else name for k, name in enumerate(agents))
-        return tuple((self.human or HUMAN_BODY) if name == "human" else name for name in agents)
+        motion, agents = self._motion, self.agents
+        if self.found_task.bodies_in_agents:
+            bodies = [self.human or HUMAN_BODY] * len(agents := agents or self.found_task.agents)
+            if (sampled := self.human) in SAMPLED_BODIES:
+                bodies = [sampled_body(sampled, seed, k) for k in range(len(agents))]
+            agents = tuple(body if name == "human" else name for name, body in zip(agents, bodies, strict=True))
+        return with_motion(agents, motion) if motion and agents is not None else agents
 
 
 @dataclass(frozen=True)
@@ -263,7 +278,7 @@ def checked(choices: Choices) -> Choices:
         InputError: no such task, agents, policy or body.
     """
     from h3data.bodies import load_humanoid
-    from sim_kinematic.agents.roster import kinds_of, make_roster
+    from sim_kinematic.agents.roster import HUMAN_BODY, kinds_of, make_roster
     from sim_kinematic.policies.assignment import each_of
     from sim_kinematic.policies.learned import stamped
 
@@ -275,6 +290,12 @@ def checked(choices: Choices) -> Choices:
     roster = make_roster(task.agents if choices.agents is None else choices.agents, **bodies)
     task.check_roster(roster)
     kinds = kinds_of(roster)
+    if choices.motion is not None:
+        if "human" not in kinds:
+            raise InputError(
+                f"--motion is how people walk, but there are none in --agents {','.join(choices.agents or ())}."
+            )
+        load_humanoid(f"{human or HUMAN_BODY}+{choices.motion}")
     named = {"robot": choices.policy, "human": choices.partner}
     for kind, option in (("robot", "--policy"), ("human", "--partner")):
         names = named[kind]
@@ -297,6 +318,17 @@ def checked(choices: Choices) -> Choices:
         policy=named["robot"] or task.recorded_default("robot"),
         partner=named["human"] or task.recorded_default("human"),
     )
+
+
+def stored_person(name: str) -> str:
+    """The name of a person by which episodes are known: a motion by its digest, not by its path."""
+    from h3data.bodies.motion.walk_names import JOIN
+
+    if JOIN not in name:
+        return name
+    from h3data.bodies.motion.walk_import import stored_name
+
+    return stored_name(name)
 
 
 def sampled_body(choice: str, seed: int, person: int = 0) -> str:

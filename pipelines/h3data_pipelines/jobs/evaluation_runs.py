@@ -49,6 +49,7 @@ class EvaluationRequest:
     homes: int = 4
     seed: int = 0
     human: str | None = None
+    motion: str | None = None
     human_walk: str | None = None
     human_speed: float | None = None
     max_steps: int | None = None
@@ -77,7 +78,7 @@ class EvaluationRequest:
             )
         choices = Choices(
             task=self.task, policy=policies[0], partner=partners[0] if partners else None, human=self.human,
-            human_walk=self.human_walk, human_speed=self.human_speed, max_steps=self.max_steps,
+            motion=self.motion, human_walk=self.human_walk, human_speed=self.human_speed, max_steps=self.max_steps,
         )  # fmt: skip
         for kind, names in (("robot", policies), ("human", partners)):
             for name in names:

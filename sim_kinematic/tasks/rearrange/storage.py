@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from h3data.bodies import Robot, load_humanoid, load_robot
+from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_rotate
 from h3data.habitat.episodes.episode_objects import read_object_template, search_in, search_of, with_objects
@@ -26,7 +27,7 @@ from h3data.habitat.episodes.stored_rearrangements import (
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.scene_sets import SceneFile, SceneSource
 from sim_kinematic.agents.driven.object_room import object_extent
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
+from sim_kinematic.agents.roster import ROBOT_BODY, make_roster, with_body
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
@@ -67,7 +68,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             floor_y=float(episode.free.floor_y),
             seed=episode.seed,
             robot=f"robot/{episode.pair[0]}",
-            human=f"humanoid/{episode.pair[1]}",
+            human=f"humanoid/{split_walk(episode.pair[1])[0]}",
             scene_sha256=scene_digest(episode.scene),
             scene_source=plain(dict(episode.scene.source)),
             rules=rules_to_json(episode.spec),
@@ -114,7 +115,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             raise InputError(f"The episode has {count} objects: leave out --rule objects={spec.objects}.")
         pair = (
             place.robot or record.robot.removeprefix("robot/") or ROBOT_BODY,
-            place.human or record.human.removeprefix("humanoid/") or HUMAN_BODY,
+            with_body(place.human, record.human.removeprefix("humanoid/")),
         )
         roster = make_roster(place.agents or PAIR, robot=pair[0], human=pair[1])
         for body in (load_robot(pair[0]), *(member.body for member in roster)):
@@ -128,7 +129,8 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             complete
             and record.sampled_sha256 == content_digest(record)
             and spec == self.rules(record)
-            and pair == (record.robot.removeprefix("robot/"), record.human.removeprefix("humanoid/"))
+            and (pair[0], split_walk(pair[1])[0])
+            == (record.robot.removeprefix("robot/"), record.human.removeprefix("humanoid/"))
         )
         return RearrangeEpisode(
             scene=scene,

@@ -15,11 +15,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.scene import FreeSpace, Scene, scene_digest
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
+from sim_kinematic.agents.roster import ROBOT_BODY, make_roster, with_body
 from sim_kinematic.agents.stands import discs_fit
 from sim_kinematic.agents.waypoint_walker import HumanPlan, human_plan
 from sim_kinematic.motion.randomness import generator
@@ -124,7 +125,7 @@ def stored_episode(episode: Episode) -> SocialNavEpisode:
         max_steps=episode.spec.max_steps,
         seed=episode.seed,
         robot=f"robot/{episode.roster[ROBOT].model}",
-        human=f"humanoid/{episode.roster[HUMAN].model}",
+        human=f"humanoid/{split_walk(episode.roster[HUMAN].model)[0]}",
         scene_sha256=scene_digest(episode.scene),
         scene_source=dict(episode.scene.source),
         rules=msgspec.to_builtins(rules_dict(episode.spec)),
@@ -147,7 +148,7 @@ def episode_from(
     free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
     points = _on_free_floor(free, episode)
     robot_name = robot or episode.robot.removeprefix("robot/") or ROBOT_BODY
-    human_name = human or episode.human.removeprefix("humanoid/") or HUMAN_BODY
+    human_name = with_body(human, episode.human.removeprefix("humanoid/"))
     headings = np.array([[episode.robot_start[2]], [episode.human_start[2]]])
     goals = [[float(x), float(z)] for x, z in points[2:]]
     return Episode(

@@ -19,6 +19,7 @@ from h3data_viewers.hitl.drivers import Driver
 from h3data_viewers.hitl.messages import Act, decode
 from h3data_viewers.hitl.plan import VERSION, GameOrder, PlayPlan
 from h3data_viewers.hitl.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, StatePacker
+from sim_kinematic.agents.roster import HUMAN_BODY
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.episode import Episode, with_options
 from sim_kinematic.tasks.registry import find_task
@@ -43,7 +44,8 @@ class Table:
         self.task = find_task(self.app.task)
         self.spec = with_options(self.task.Spec(), **{**self.app.rules, **plan.rules})
         self.roster = plan.roster(tuple(self.task.agents))
-        self.source = EpisodeSource(self.task, plan.scenes, spec=self.spec, agents=self.roster)
+        human = HUMAN_BODY if plan.motion is None else f"{HUMAN_BODY}+{plan.motion}"
+        self.source = EpisodeSource(self.task, plan.scenes, spec=self.spec, agents=self.roster, human=human)
         self.numbers = self._numbers()
         """Agent of each player, in the order of `PlayPlan.players`."""
         if plan.partner not in (None, "solo"):

@@ -28,6 +28,8 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     episodes: int = 1
     speed: float = 1.0
     """Above 1 time runs faster, 0: as fast as the machine can. For scripted players; recordings say so."""
+    motion: str | None = None
+    """Motion file of people's walk."""
     rules: dict[str, Any] = {}
     """Rules of the task that differ from the app's."""
 
