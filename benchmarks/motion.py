@@ -16,7 +16,8 @@ Joints are those of a replay, as pictures show them; a step is 1/30 s. For each 
     Mean length of the third derivative of the paths of head, wrists and ankles while the root moves [m/s^3].
 
 ``motion.<metric>`` is the worst of the tasks (pops, slide, jerk), their sum (mid-air stops) or all their steps together
-(turning share). ``motion.paper.*`` are those of social navigation with ``human_walk="paper"`` in small homes.
+(turning share). ``motion.paper.<task>.*`` are those of social navigation and rearrangement with ``human_walk="paper"``, in
+small homes.
 ``motion.real.<name>.*`` are the same figures of captured walks in ``../shared``, put on a body at 30 frames/s;
 where they are absent, ``motion.real.clips`` is 0.
 
@@ -27,11 +28,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import h3data
-from benchmarks.penetration import EPISODES
+from benchmarks.penetration import DEFAULT_ROBOT, EPISODES
 from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
 from h3data.bodies.motion.motion_files import read_motion
 from h3data.bodies.motion.motion_retarget import retarget
@@ -49,6 +51,10 @@ HOMES = 10
 POP_M, STEADY_ROOM = 0.12, 1.1
 AIR_M, REST_M, REST_RAD, FLOOR_M = 0.02, 1e-3, 1e-3, 0.002
 PAPER_HOMES = 6
+PAPER_TASKS: dict[str, dict[str, Any]] = {
+    "social_nav": {"max_steps": 900, "end_on_collision": False},
+    "rearrange": {"max_steps": 750},
+}
 SPEEDS = 5
 """Up to the fastest of an episode, at which the steady gait is looked at."""
 BODY_JOINTS = 22
@@ -60,7 +66,7 @@ def run(emit: Emit) -> None:
     """Emits ``motion.<task>.*``, ``motion.*`` and ``motion.real.*``."""
     totals: list[dict[str, Array]] = []
     for task, episodes in EPISODES.items():
-        parts = [part for recording in episodes(HOMES) for part in motions(recording)]
+        parts = [part for recording in episodes(HOMES, DEFAULT_ROBOT) for part in motions(recording)]
         found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         totals.append(found)
         _emit_all(emit, f"motion.{task}", found)
@@ -70,8 +76,10 @@ def run(emit: Emit) -> None:
     emit("motion.mid_air_stops", sum(figure["mid_air_stops"] for figure in figures), "steps")
     turns = np.concatenate([found["turns"] for found in totals])
     emit("motion.turning_share", float(turns.mean()), "of all steps")
-    paper = [part for k in range(PAPER_HOMES) for part in motions(_paper(k))]
-    _emit_all(emit, "motion.paper", {name: np.concatenate([part[name] for part in paper]) for name in paper[0]})
+    for task, options in PAPER_TASKS.items():
+        paper = [part for home in range(PAPER_HOMES) for part in motions(_paper(task, home, options))]
+        found = {name: np.concatenate([part[name] for part in paper]) for name in paper[0]}
+        _emit_all(emit, f"motion.paper.{task}", found)
     clips = sorted((SHARED / "motion").glob("*.bvh"))
     emit("motion.real.clips", len(clips), "captured walks (in ../shared/motion)")
     for path in clips:
@@ -89,10 +97,8 @@ _UNITS = {
 }
 
 
-def _paper(home: int) -> Recording:
-    return h3data.simulate(
-        "social_nav", f"small:{home}", seed=home, human_walk="paper", max_steps=900, end_on_collision=False
-    )
+def _paper(task: str, home: int, options: dict[str, Any]) -> Recording:
+    return h3data.simulate(task, f"small:{home}", seed=home, human_walk="paper", **options)
 
 
 def _emit_all(emit: Emit, prefix: str, found: dict[str, Array]) -> None:

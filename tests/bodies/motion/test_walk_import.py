@@ -193,6 +193,14 @@ def test_generate_gives_everybody_the_walk(walk_file: Path, tmp_path: Path) -> N
         h3data.generate("wander", tmp_path / "robots", agents="robot,robot", motion=walk_file)
 
 
+def test_evaluations_take_the_walk(walk_file: Path, tmp_path: Path) -> None:
+    options = {"scenes": "small", "episodes": 1, "max_steps": 30, "motion": walk_file, "keep": True}
+    done = h3data.evaluate("social_nav", tmp_path / "e", policies="stand_still", **options)
+    assert not done.failed
+    recording = next(iter(h3data.open(next((tmp_path / "e" / "recordings").iterdir()))))
+    assert "+motion:" in recording.agents[1].model
+
+
 def test_environments_take_the_walk(walk_file: Path) -> None:
     env = h3data.make("social_nav", scenes="small:1", human=f"female_0+{walk_file}")
     env.reset(seed=0)

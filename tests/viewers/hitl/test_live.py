@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from h3data.bodies.motion.motion_files import save_motion
 from h3data.bodies.people.planted_gait import planted_states, pose_planted
 from h3data.errors import InputError
 from h3data.geometry import pose_multiply
@@ -25,6 +26,7 @@ from h3data_viewers.hitl.wire import BUSY
 from h3data_viewers.hitl.worker import rehearse
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import Session, StepResult
+from tests.bodies.motion.test_walk_import import walk
 
 
 def table(out: Path, **changes: Any) -> Table:
@@ -121,6 +123,19 @@ def test_a_game_goes_on_from_its_unfinished_log(tmp_path: Path):
     recording = read_mcap(tmp_path / "000000.mcap")
     assert verify(recording).difference is None
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_players_walk_as_a_motion_file_says(tmp_path: Path):
+    file = tmp_path / "walk.npz"
+    save_motion(walk(), file)
+    player = Player(table(tmp_path, motion=str(file)).begin(GameOrder(index=0, name="000000")))
+    player.send(k="move", f=1.0, t=0.1)
+    player.play(20)
+    player.game.close()
+    file.unlink()
+    recording = read_mcap(tmp_path / "000000.mcap")
+    assert "+motion:" in recording.agents[player.number].model
+    assert verify(recording).difference is None
 
 
 def test_clicking_on_the_floor_walks_there_and_keys_end_it(tmp_path: Path):
