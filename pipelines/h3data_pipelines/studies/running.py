@@ -63,7 +63,6 @@ class StudyRun:
     that makes pseudonyms of participants lies beside that folder (NAME-VERSION.key). Needs the extra hitl.
 
     Examples:
-        h3data study new study.toml
         h3data study run study.toml
         h3data study run study.toml --host 0.0.0.0 --port 443 --cert cert.pem --key key.pem --workers 4
         h3data study run study.toml --behind-proxy --host 127.0.0.1 --port 8080
