@@ -62,6 +62,7 @@ async function click() {
     floor = await player.ask(FLOOR_PIXEL);
   }
   await player.page.mouse.click(...floor);
+  await player.until(`Math.hypot(probe.game.shown.x - ${from.x}, probe.game.shown.z - ${from.z}) > 0.5`, "the person to walk there");
   await player.idle();
   const to = await player.ask("({ ...probe.game.shown })");
   await player.shot(picture("clicked"));
