@@ -15,6 +15,10 @@ Joints are those of a replay, as pictures show them; a step is 1/30 s. For each 
 ``jerk``
     Mean length of the third derivative of the paths of head, wrists and ankles while the root moves [m/s^3].
 
+``quad_arm.foot_slide_mm``, ``foot_slide_p99_mm``
+    How far the feet of ``quad_arm`` creep in a step while they stand, worst of speeds from -1 to 2.5 m/s and turns up to
+    2.5 rad/s, on the spot too, and of the episodes of social navigation [mm].
+
 ``motion.<metric>`` is the worst of the tasks (pops, slide, jerk), their sum (mid-air stops) or all their steps together
 (turning share). ``motion.paper.<task>.*`` are those of social navigation and rearrangement with ``human_walk="paper"``, in
 small homes.
@@ -27,6 +31,7 @@ where they are absent, ``motion.real.clips`` is 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +39,12 @@ import numpy as np
 
 import h3data
 from benchmarks.penetration import DEFAULT_ROBOT, EPISODES
-from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
+from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid, load_robot
 from h3data.bodies.motion.motion_files import read_motion
 from h3data.bodies.motion.motion_retarget import retarget
 from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
-from h3data.geometry import Array, heading_from_quat, wrap_angle
+from h3data.bodies.robots.trot import trot
+from h3data.geometry import Array, ground_pose, heading_from_quat, transform_points, wrap_angle
 from h3data.recording import Recording
 from h3data.recording.motion_recording import motion_columns
 from h3data.replay import Replay
@@ -63,7 +69,11 @@ JERK_JOINTS = [JOINT_INDEX[name] for name in ("head", "left_wrist", "right_wrist
 
 
 def run(emit: Emit) -> None:
-    """Emits ``motion.<task>.*``, ``motion.*`` and ``motion.real.*``."""
+    """Emits ``motion.quad_arm.*``, ``motion.<task>.*``, ``motion.*`` and ``motion.real.*``."""
+    slides = [trot_slides(track) for track in [*robot_tracks(), *_driven_tracks()]]
+    emit("motion.quad_arm.foot_slide_mm", 1000 * max(float(slide.mean()) for slide in slides), _UNITS["foot_slide_mm"])
+    worst = 1000 * max(float(np.percentile(slide, 99)) for slide in slides)
+    emit("motion.quad_arm.foot_slide_p99_mm", worst, _UNITS["foot_slide_p99_mm"])
     totals: list[dict[str, Array]] = []
     for task, episodes in EPISODES.items():
         parts = [part for recording in episodes(HOMES, DEFAULT_ROBOT) for part in motions(recording)]
@@ -95,6 +105,40 @@ _UNITS = {
     "jerk": "m/s^3",
     "minutes": "minutes of people",
 }
+
+
+def robot_tracks(steps: int = 300) -> list[Array]:
+    """Agent roots [T, 7] of robots at constant speeds and turn rates, in curves and on the spot."""
+    tracks = []
+    for speed, turn in product((-1.0, 0.0, 0.2, 0.5, 1.0, 1.5, 2.0, 2.5), (0.0, 0.5, 1.5, 2.5)):
+        heading = np.arange(steps) * turn * STEP_S
+        moved = speed * STEP_S * np.stack([np.cos(heading), -np.sin(heading)], axis=-1)
+        if speed or turn:
+            tracks.append(ground_pose(np.cumsum(moved, axis=0), heading))
+    return tracks
+
+
+def _driven_tracks() -> Iterator[Array]:
+    for recording in EPISODES["social_nav"](3, DEFAULT_ROBOT):
+        yield recording.columns["agent_0.base_pose"].astype(np.float64)
+
+
+def trot_slides(base: Array) -> Array:
+    """How far [m] each foot of ``quad_arm`` on the floor creeps in each step of a base track [T, 7]."""
+    robot = load_robot(DEFAULT_ROBOT)
+    links = [int(robot.joint_links[leg.columns[2]]) for leg in robot.legs]
+
+    def feet_of(base: Array, joints: Array) -> Array:
+        """Places of the feet [T, L, 3]."""
+        frames = robot.link_matrices(base, joints)
+        feet = zip(links, robot.legs, strict=True)
+        return np.stack([transform_points(frames[:, k], leg.foot[None])[:, 0] for k, leg in feet], axis=1)
+
+    rest = np.tile(robot.rest, (len(base), 1))
+    feet, floor = feet_of(base, trot(robot, base, rest)), feet_of(base[:1], rest[:1])[..., 1].min()
+    stands = feet[..., 1] < floor + FLOOR_M
+    creep = np.hypot(*np.moveaxis(np.diff(feet[..., [0, 2]], axis=0), -1, 0))
+    return creep[stands[1:] & stands[:-1]]
 
 
 def _paper(task: str, home: int, options: dict[str, Any]) -> Recording:

@@ -27,6 +27,9 @@ PROGRESS_M = 0.02
 PUSHES = 6
 CREEP_MPS, SHARP_RAD = 0.1, 0.6
 """Below this speed people walk in any direction at once; a larger change of it they come to a stand for."""
+FRONT_M, FRONT_ROOM_M, FRONT_RAD = 0.3, 0.15, 0.5
+"""People who are not yet turned to where they go, by so much, first turn if something is nearer than this room to the floor
+this far ahead of them: legs that swing while they turn in a curve would get into it."""
 CORNER_M = 0.5
 """How far beyond the point that they walk to people see a corner coming."""
 
@@ -118,6 +121,10 @@ def stride_step(sdf, origin, cell, radius, path, cumulative, goes, halts, state,
     wanted_off = min(max(bearing, -widest), widest)
     if not goes or (keeps_to_path and abs(wrap_angle(wanted_off - state[6])) > SHARP_RAD):
         most = 0.0
+    if not keeps_to_path and not closing and abs(bearing) > FRONT_RAD:
+        front = sample_sdf(sdf, origin, cell, x + math.cos(heading) * FRONT_M, z - math.sin(heading) * FRONT_M)
+        if front < FRONT_ROOM_M:
+            most = 0.0
     v += min(max(most - v, -decel * dt), accel * dt)
     there = goes and to_end <= v * dt and along + ahead >= total
     if there and halts:

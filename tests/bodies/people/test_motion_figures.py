@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.motion import SHARED, figures_of, motion_of, real_motion
+from benchmarks.motion import SHARED, figures_of, motion_of, real_motion, robot_tracks, trot_slides
 from h3data.bodies import JOINT_INDEX, load_humanoid
 from h3data.geometry import Array, ground_pose
 
@@ -55,3 +55,10 @@ def test_a_captured_walk_has_figures() -> None:
     found = figures_of(real_motion(clips[0]))
     assert found["minutes"] > 0.1
     assert 50 < found["jerk"] < 1000
+
+
+def test_feet_of_the_robot_stay_planted_at_every_speed_and_turn() -> None:
+    slides = [trot_slides(track) for track in robot_tracks(150)]
+    assert min(map(len, slides)) > 200  # feet stand about half of the time
+    assert max(float(slide.mean()) for slide in slides) < 1e-4
+    assert max(float(slide.max()) for slide in slides) < 1e-3

@@ -68,6 +68,28 @@ def test_hardly_anybody_turns_on_the_spot(seed: int) -> None:
     assert (rests & (np.abs(np.diff(track[:, 2])) > 1e-3)).mean() < 0.05
 
 
+@given(st.integers(0, 10_000))
+def test_who_faces_a_wall_turns_away_before_they_walk(seed: int) -> None:
+    free, rng = floor("small:1"), np.random.default_rng(seed)
+    places = free.sample(rng, 400)
+    start = places[np.argmin(np.abs(free.signed_distance(places) - 0.33))]
+    out = free.gradient(start) / np.hypot(*free.gradient(start))
+    goals = free.sample(rng, 200)
+    firsts = [walking_path(free, start, goal, NATURAL_WALKER) for goal in goals[np.hypot(*(goals - start).T) > 1.5]]
+    paths = [path for path in firsts if len(path) > 1 and (path[1] - start) @ out > 0.8 * np.hypot(*(path[1] - start))]
+    if not paths:
+        return
+    strider, xz, heading = Strider(free, NATURAL_WALKER), start, float(np.arctan2(out[1], -out[0]))
+    strider.begin(paths[0])
+    walked_at_wall = 0.0
+    for _ in range(60):
+        before, faces = xz, -np.array([np.cos(heading), -np.sin(heading)]) @ out
+        xz, heading = strider.step(xz, heading)
+        walked_at_wall += float(np.hypot(*(xz - before))) * (faces > 0.8)
+    assert walked_at_wall < 0.03
+    assert np.hypot(*(xz - start)) > 0.15
+
+
 @given(st.integers(0, 10_000), st.floats(-3.1, 3.1))
 def test_who_halts_stands_on_the_end_of_the_path(seed: int, heading: float) -> None:
     free = floor("small:1")
