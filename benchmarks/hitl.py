@@ -36,7 +36,7 @@ from h3data_viewers.hitl.front import SEATS_PER_ADDRESS
 
 Emit = Callable[[str, float, str], None]
 WEB = Path(importlib.util.find_spec("h3data_viewers.hitl").submodule_search_locations[0]) / "web"  # type: ignore[union-attr, index]
-COUNTS, WARM_S, MEASURED_S, SIEGE_S, WORKERS = (1, 10, 20), 4.0, 20.0, 30.0, 2
+COUNTS, WARM_S, MEASURED_S, SIEGE_S, WORKERS = (1, 10, 20), 4.0, 15.0, 30.0, 2
 PLANS: dict[str, dict[str, Any]] = {
     "rearrange": {"app": "rearrange", "partner": "complement", "scenes": "small:3"},
     "social_nav": {"app": "social_nav", "partner": "heuristic_expert", "scenes": "small:2"},
@@ -48,7 +48,7 @@ class Server:
     """``python -m h3data_viewers.hitl.serve`` in a process of its own."""
 
     def __init__(self, out: Path, sessions: int = 1, workers: int = 1, **plan: Any) -> None:
-        self.out = out
+        self.out, self.stopped_s = out, 0.0
         out.mkdir(parents=True)
         command = [sys.executable, "-m", "h3data_viewers.hitl.serve"]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -92,12 +92,12 @@ class Server:
         assert self.process.stdout is not None
         return [json.loads(line) for line in self.process.stdout]
 
-    def stop(self) -> float:
-        """Stops it as an operator does; returns how long that took [s]."""
+    def stop(self) -> None:
+        """Stops it as an operator does, and notes how long that took."""
         begun = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         self.process.wait(60)
-        return time.monotonic() - begun
+        self.stopped_s = time.monotonic() - begun
 
 
 def _cpu_s(process: int) -> float:
@@ -131,8 +131,19 @@ async def seated(stack: AsyncExitStack, link: str) -> Client | None:
 
 
 async def play(client: Client, k: int, end: float) -> None:
-    """Walks by keys, and every few seconds takes or places something, until ``end``."""
+    """Walks by keys, and every few seconds takes or drops something; where an episode ends, the next one begins."""
     chance = np.random.default_rng(k)
+    while time.monotonic() < end:
+        with contextlib.suppress(ConnectionError, ClientError):
+            await _episode(client, chance, end)
+        if client.heard("over") and time.monotonic() < end and await client.sit() == 200:
+            await client.connect()
+            await client.until(lambda: client.step, 60)
+        elif client.close_code is not None:
+            return
+
+
+async def _episode(client: Client, chance: np.random.Generator, end: float) -> None:
     while time.monotonic() < end and client.close_code is None and not client.heard("over"):
         for _ in range(8):
             forward, turn = chance.uniform(-0.3, 1.0), chance.uniform(-0.6, 0.6)
@@ -158,7 +169,7 @@ def run(emit: Emit) -> None:
             with server(count, WORKERS, **plan) as running:
                 asyncio.run(_sessions(emit, running, app, count))
                 if (app, count) == ("rearrange", 10):
-                    emit("hitl.sigterm_s", running.stop(), "s")
+                    emit("hitl.sigterm_s", running.stopped_s, "s")
                     files = list(running.out.glob("*.mcap*"))
                     emit("hitl.sigterm_unfinished_recordings", sum(f.suffix == ".part" for f in files), "")
     _sizes(emit)
