@@ -80,6 +80,7 @@ def test_torch_equals_numba(tmp_path_factory: pytest.TempPathFactory, name: str)
     np.testing.assert_allclose(shaped.reshape(expected.shape), expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_torch_knows_the_derivative(tmp_path_factory: pytest.TempPathFactory) -> None:
     robot = every_joint_robot(tmp_path_factory.getbasetemp())
     joints = torch.from_numpy(_postures(robot, np.random.default_rng(2), 1)[0]).requires_grad_()

@@ -91,6 +91,7 @@ def recording_scene(recording: Any) -> Any:
     return load_scene(recording.attachments["scene.glb"]).instances
 
 
+@pytest.mark.slow
 def test_the_export_is_played_again(
     played: Path, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -63,6 +63,7 @@ def test_generated_videos_show_what_the_cameras_see(dataset: Dataset) -> None:
     assert {row["tasks"][0] for row in dataset.rows} == {"follow the person"}
 
 
+@pytest.mark.slow
 def test_workers_and_resuming_change_no_byte(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -87,6 +87,7 @@ def test_each_is_valid_and_drawn(report: dict[str, dict[str, Any]], assets: list
         assert seen >= (set(range(len(recording.agents))) if camera == "top_down" else {0})
 
 
+@pytest.mark.slow
 def test_all_are_drawn_by_the_command(
     report: dict[str, dict[str, Any]], assets: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -156,6 +156,7 @@ def test_resume_completes_the_logs(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 # --- workers, signals -------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_workers_make_the_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     one, two = (
         run_json(capsys, *SHORT, tmp_path / n, "--episodes", "3", "--workers", n)["state_hashes"] for n in ("1", "2")

@@ -142,6 +142,7 @@ def test_the_zero_shot_column_is_over_the_four_planners() -> None:
     assert "75 [30, 95]" in table.to_text()
 
 
+@pytest.mark.slow
 def test_kept_recordings_and_bare_results_give_the_same_heat_maps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -119,6 +119,7 @@ def test_what_is_complete_is_kept(episode: Path, tmp_path: Path, capsys: pytest.
     assert len(json.loads(Path(first["cameras"]).read_text())["cameras"]["near"]["steps"]) == 7
 
 
+@pytest.mark.slow
 def test_killed_at_any_time_it_goes_on(episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Only .part files and complete ones are there after a kill; the next run ends with what an undisturbed one makes."""
     near = str(episode.with_name("near.toml"))

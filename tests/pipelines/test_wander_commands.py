@@ -24,6 +24,7 @@ def run_json(capsys: pytest.CaptureFixture[str], *args: object, code: int = 0) -
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_a_cast_of_three_is_resumed_logged_measured_and_simulated_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

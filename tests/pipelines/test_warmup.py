@@ -64,6 +64,7 @@ def test_workers_compile_once_and_say_so_once(environment: dict[str, str], tmp_p
     assert not _python(str(tmp_path / "workers.py"), environment=environment).stderr
 
 
+@pytest.mark.slow
 def test_the_announcement_can_be_silenced(environment: dict[str, str]) -> None:
     assert not _python("-c", COMPILE, environment={**environment, "H3DATA_QUIET": "1"}).stderr
     quiet = 'import logging; logging.getLogger("h3data.kernels").setLevel("WARNING"); '
@@ -84,6 +85,7 @@ def test_a_killed_process_leaves_no_lock(environment: dict[str, str]) -> None:
     assert _python("-c", COMPILE, environment=environment).stdout == "1\n"
 
 
+@pytest.mark.slow
 def test_warmup_says_what_it_compiled(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(warmup, "WORK", {"pictures": warmup.WORK["pictures"]})
     outcome = Warmup().run()

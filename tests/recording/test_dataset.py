@@ -68,6 +68,7 @@ def test_what_is_added_is_read(tmp_path, rec):
 
 @SOME
 @given(recs=st.lists(recordings(max_steps=12), min_size=2, max_size=4), per_file=st.integers(1, 3))
+@pytest.mark.slow
 def test_episodes_of_different_shapes_share_a_dataset(tmp_path, recs, per_file):
     kinds: dict[str, tuple] = {}
     for k, rec in enumerate(recs):  # a column has one dtype in a dataset

@@ -163,6 +163,7 @@ def test_resuming_is_exact_for_50_random_episodes_and_steps(world: RearrangeEpis
         require_same(resume(other, int(rng.integers(step, len(other) + 1))), other)
 
 
+@pytest.mark.slow
 def test_others_take_over(episode: Recording) -> None:
     still = resume(episode, STEP, policy="still")
     both = resume(episode, STEP, policy="same_object", partner="object_2")

@@ -211,6 +211,7 @@ def test_refusals(
     assert not Path("ds").exists()
 
 
+@pytest.mark.slow
 def test_an_exported_set_plays_the_same_from_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "two.toml"
     file.write_text(SET_TEXT)

@@ -43,6 +43,7 @@ def device(request, tmp_path_factory) -> Any:
     return "cpu", EmulatedRenderer
 
 
+@pytest.mark.slow
 def test_robots_and_people_see_what_they_see_on_the_cpu(device: Any) -> None:
     home, robot, human = build_home(HomeSpec(preset="small", seed=1)), load_robot("quad_arm"), load_humanoid("female_0")
     worlds, rng, state = 3, np.random.default_rng(3), WorldState.zeros(3)

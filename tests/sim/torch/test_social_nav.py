@@ -168,6 +168,7 @@ def test_a_collision_ends_the_episode_where_the_rules_say_so(bank: EpisodeBank) 
     assert ends > 2
 
 
+@pytest.mark.slow
 def test_a_step_waits_for_nothing(bank: EpisodeBank) -> None:
     # tensors without data: whatever asked for a value, or mixed devices, would fail
     sim = SocialNavTensors(bank, device="meta", dtype=torch.float32, spec=RULES)

@@ -156,6 +156,7 @@ async def parade(link: str) -> Bot:
     return bot
 
 
+@pytest.mark.slow
 def test_an_app_of_ones_own_is_played_over_a_socket(own_app: tuple[subprocess.Popen[str], str], tmp_path: Path):
     process, link = own_app
     bot = asyncio.run(parade(link))

@@ -40,6 +40,7 @@ async def play_to_success(link: str) -> Bot:
     return bot
 
 
+@pytest.mark.slow
 def test_a_player_finishes_the_task_and_the_recording_verifies(tmp_path: Path):
     with Server(tmp_path / "rec", speed=4.0) as server:
         bot = asyncio.run(play_to_success(server.links[0]))

@@ -31,6 +31,7 @@ async def take_part(link: str) -> tuple[list[str], Participant]:
         return await person.go_on(), person
 
 
+@pytest.mark.slow
 def test_a_whole_study_is_played_and_its_recordings_say_by_whom_under_what(tmp_path: Path) -> None:
     folder = tmp_path / "tiny-1"
     with serve(
@@ -105,6 +106,7 @@ async def out_of_order(link: str) -> None:
         assert await other.sit() == 410
 
 
+@pytest.mark.slow
 def test_nothing_can_be_skipped_and_a_seat_follows_its_participant(tmp_path: Path) -> None:
     with serve(tmp_path / "tiny-1", speed=1.0) as server:
         asyncio.run(out_of_order(server.links[0]))
@@ -160,6 +162,7 @@ async def idle(link: str) -> None:
         assert next_one.stage["kind"] == "tutorial", "the place is free again"
 
 
+@pytest.mark.slow
 def test_the_place_of_somebody_who_does_nothing_goes_to_the_next(tmp_path: Path) -> None:
     with serve(tmp_path / "tiny-1", 1.0, participants=1, dropout={"idle_minutes": 0.1}) as server:
         asyncio.run(idle(server.links[0]))
