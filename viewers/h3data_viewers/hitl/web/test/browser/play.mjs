@@ -38,35 +38,38 @@ async function walk() {
   return { walked: Math.hypot(to.x - from.x, to.z - from.z), ...(await player.close()) };
 }
 
-/** A pixel of the picture where the floor is, some steps away. */
+/** A pixel of the picture where the floor is, some steps away, and no label before it. */
 const FLOOR_PIXEL = `(() => {
   const { game } = probe;
   for (let y = 0.1; y > -0.9; y -= 0.07)
     for (let x = -0.6; x < 0.5; x += 0.1) {
       const target = game.pointing.target(x, y, game.camera.camera, -1);
       const far = target.kind === "floor" ? Math.hypot(target.point.x - game.shown.x, target.point.z - game.shown.z) : 0;
-      if (far > 0.8 && far < 4) return [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight];
+      const pixel = [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight];
+      if (far > 0.8 && far < 4 && document.elementFromPoint(...pixel)?.tagName === "CANVAS") return pixel;
     }
-  game.camera.look(0.6, -0.05); // none in sight: look around
   return null;
 })()`;
 
-/** Clicks on the floor and is walked there. */
+/** Clicks on the floor and is walked there; looks elsewhere where there is no floor, or none that can be walked to. */
 async function click() {
   const player = await openPage(url);
   await player.started();
   const from = await player.ask("({ ...probe.game.shown })");
-  let floor = null;
-  for (let k = 0; k < 12 && !floor; k++) {
+  const walked = `Math.hypot(probe.game.shown.x - ${from.x}, probe.game.shown.z - ${from.z})`;
+  const reasons = [];
+  for (let k = 0; k < 12 && (await player.ask(walked)) < 0.5; k++) {
     await player.nap(700);
-    floor = await player.ask(FLOOR_PIXEL);
+    const floor = await player.ask(FLOOR_PIXEL);
+    if (floor) {
+      await player.page.mouse.click(...floor);
+      await player.idle();
+      reasons.push(await player.ask("document.getElementById('toast').innerText"));
+    }
+    await player.ask("probe.game.camera.look(0.6, -0.05); 0");
   }
-  await player.page.mouse.click(...floor);
-  await player.until(`Math.hypot(probe.game.shown.x - ${from.x}, probe.game.shown.z - ${from.z}) > 0.5`, "the person to walk there");
-  await player.idle();
-  const to = await player.ask("({ ...probe.game.shown })");
   await player.shot(picture("clicked"));
-  return { walked: Math.hypot(to.x - from.x, to.z - from.z), ...(await player.close()) };
+  return { walked: await player.ask(walked), reasons, ...(await player.close()) };
 }
 
 /** Loses the connection for a moment and goes on in the same seat. */
