@@ -31,6 +31,12 @@ def main(arguments: list[str]) -> int:
         metavar="NAME|FILE",
         help="a robot by name or URDF, or 'all' that are shipped, again for more (penetration; default: quad_arm)",
     )
+    parser.add_argument(
+        "--human",
+        action="append",
+        metavar="NAME",
+        help="a body of people, or 'all' that are shipped, again for more (penetration: they wander)",
+    )
     options = parser.parse_args(arguments)
     wanted: list[str] = options.groups
     if options.episodes is not None and options.episodes < 1:
@@ -47,7 +53,7 @@ def main(arguments: list[str]) -> int:
 
     for group in [g for g in GROUPS if not wanted or any(g == w or g.startswith(w + "_") for w in wanted)]:
         run = importlib.import_module(f"benchmarks.{group}").run
-        given = {"episodes": options.episodes, "robots": options.robot}
+        given = {"episodes": options.episodes, "robots": options.robot, "humans": options.human}
         takes = inspect.signature(run).parameters
         run(emit, **{name: value for name, value in given.items() if value is not None and name in takes})
     record = {

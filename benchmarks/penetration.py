@@ -5,7 +5,8 @@
 it intends: while an agent picks or places, the hand, the forearm and what it holds may be in what the object lies on.
 
 ``--robot`` measures other robots, by name or URDF; ``--robot all`` every shipped one, minutes for each. Their figures are
-called ``penetration.<robot>.<task>``, but those of ``quad_arm``.
+called ``penetration.<robot>.<task>``, but those of ``quad_arm``. ``--human`` measures bodies of people, by name or ``all``, who
+wander beside ``quad_arm`` and another person: ``penetration.<body>.wander``.
 
 For each task and kind of agent, and each part of its body that ever is deeper than 2 mm: the share of steps in which it is
 deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``arm`` arms, hands and what they hold; of people
@@ -23,7 +24,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Robot, load_robot
+from h3data.bodies import Robot, humanoid_names, load_robot
 from h3data.bodies.robots.robot_files import robot_names
 from h3data.errors import SceneError
 from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
@@ -41,18 +42,23 @@ from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.wander import Wander
 
 Emit = Callable[[str, float, str], None]
-DEFAULT_ROBOT, ALL_ROBOTS = "quad_arm", "all"
+DEFAULT_ROBOT, ALL = "quad_arm", "all"
 DEPTHS_M = {"2mm": 0.002, "2cm": 0.02, "5cm": 0.05}
 BODIES = ("female_0", "male_1", "female_2", "male_2")
-WANDERERS = "robot:{robot},human,male_1"
+WANDERERS, BROADEST = "robot:{robot},human,{human}", "male_1"
 WANDER_STEPS = 600
 WALLS = "walls"
 """Name of the instance in our homes."""
 
 
-def run(emit: Emit, episodes: int = 50, robots: Sequence[str] = (DEFAULT_ROBOT,)) -> None:
-    """Emits ``penetration.<task>.above_2cm`` and ``penetration.<task>.<kind>.<part>.*`` of each robot."""
-    names = [name for robot in robots for name in (robot_names() if robot == ALL_ROBOTS else (robot,))]
+def run(emit: Emit, episodes: int = 50, robots: Sequence[str] = (), humans: Sequence[str] = ()) -> None:
+    """Emits ``penetration.<task>.above_2cm`` and ``penetration.<task>.<kind>.<part>.*`` of each robot and of each
+    body of people who wander; of the default robot where nothing is named."""
+    bodies = [name for human in humans for name in (humanoid_names() if human == ALL else (human,))]
+    for body in dict.fromkeys(bodies):
+        _measure(emit, f"penetration.{body}.wander", _wander(episodes, DEFAULT_ROBOT, body))
+    robots = robots or (() if bodies else (DEFAULT_ROBOT,))
+    names = [name for robot in robots for name in (robot_names() if robot == ALL else (robot,))]
     for robot in dict.fromkeys(names):
         group = "penetration" if robot == DEFAULT_ROBOT else f"penetration.{load_robot(robot).name}"
         for task, recordings in EPISODES.items():
@@ -146,8 +152,8 @@ def _rearrange(episodes: int, robot: str) -> Iterator[Recording]:
             continue
 
 
-def _wander(episodes: int, robot: str) -> Iterator[Recording]:
-    rules, agents = SocialNavSpec(max_steps=WANDER_STEPS), WANDERERS.format(robot=robot)
+def _wander(episodes: int, robot: str, human: str = BROADEST) -> Iterator[Recording]:
+    rules, agents = SocialNavSpec(max_steps=WANDER_STEPS), WANDERERS.format(robot=robot, human=human)
     for seed, scene, free in _homes(episodes):
         yield simulate(Wander(), Wander().episode(scene, seed=seed, spec=rules, agents=agents, free=free))
 

@@ -32,6 +32,10 @@ TURN_PATIENCE_STEPS = 10
 """Steps for which a person waits for room to turn on the spot; after them they turn while walking."""
 BACK_AFTER_STEPS, BACK_STEPS = 20, 15
 """Who cannot step aside for this long, because any step would touch somebody, first goes back this many steps."""
+SHUFFLE_MPS = 0.4
+"""Speed at which people step sideways and back without turning."""
+ASIDE_LEG_M = 0.05
+"""Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
 HANDS: tuple[Hand, ...] = ("right", "left")
 """In the order in which a person tries them."""
 
@@ -164,18 +168,18 @@ class PersonActor:
             gets_there |= bool(np.isfinite(nearest_stand(self.free, stands, self.xz)[1]))
         else:
             return Ending("failed", "no_room" if gets_there else "no_way")
-        yield from self._walk(stands[k, :2])
+        yield from self._walk(stands[k, :2], facing=float(stands[k, 2]))
         if np.hypot(*(self.xz - stands[k, :2])) > 2 * self.spec.arrive_m:
             return Ending("failed", "stuck")
         self.person.look_at = point.copy()
         yield from self._careful(self.person.turn(float(stands[k, 2]), settles=False))
         return Ending("done")
 
-    def _walk(self, goal: NDArray) -> Generator[None, None, None]:
+    def _walk(self, goal: NDArray, *, facing: float | None = None) -> Generator[None, None, None]:
         """Walk to a floor point [2] without stopping on the way, turning on the spot where it turns (paper 3.1), or in curves
-        as `WalkerSpec.stride` says."""
+        as `WalkerSpec.stride` says, which end towards the heading ``facing`` [rad]."""
         if self.spec.stride is not None:
-            yield from self._walk_curves(goal)
+            yield from self._walk_curves(goal, facing)
             return
         path = self._path(goal)
         if len(path):
@@ -204,15 +208,15 @@ class PersonActor:
             there = np.hypot(*(path[k] - self.xz)) <= self.spec.arrive_m
             k += there and (k + 1 < len(path) or self._gait.blend[0] == 0)
 
-    def _walk_curves(self, goal: NDArray) -> Generator[None, None, None]:
+    def _walk_curves(self, goal: NDArray, facing: float | None) -> Generator[None, None, None]:
         """As `_walk`; whoever waits brakes."""
         strider = Strider(self.free, self.spec, halts=True)
-        strider.begin(np.vstack([self.xz[None], self._path(goal)]))
+        strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
         waited, left = 0, False
         while not strider.arrived and waited <= AVOIDANCE.patience_steps:
             left |= self.aside is not None
             if left and self.aside is None:  # back from where they had stepped aside to
-                strider.begin(np.vstack([self.xz[None], self._path(goal)]))
+                strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
                 waited, left = 0, False
                 continue
             self.path = np.vstack([self.xz[None], strider.ahead])
@@ -225,7 +229,7 @@ class PersonActor:
             if blocker is not None and not waits(self.number, blocker) and waited % 10 == 0:
                 detour = path_around(self.free, self.xz, goal, self.others)
                 if detour is not None:
-                    strider.begin(np.vstack([self.xz[None], detour]))
+                    strider.begin(np.vstack([self.xz[None], detour]), facing=facing)
                     blocker = None
             waited = 0 if blocker is None else waited + 1
             self._stride(strider, goes=blocker is None)
@@ -254,10 +258,12 @@ class PersonActor:
     def _stand(self) -> None:
         """One step of standing, or of stepping aside."""
         if self.aside is not None and len(self.aside):
-            if self._backs_out():
+            # after backing out the straight line to it may lead through furniture
+            towards = self.free.first_leg(self.xz, self.aside[0], beyond_m=ASIDE_LEG_M, max_snap_m=1.0)[1]
+            if self._backs_out() or self._shuffles(towards):
                 return
-            blocked = in_the_way(self.xz, self.aside[0], self.others) is not None
-            self._pace(None if blocked else self.aside[0])
+            blocked = np.isnan(towards[0]) or in_the_way(self.xz, towards, self.others) is not None
+            self._pace(None if blocked else towards)
         elif self._gait.blend[0] > 0 or not self.person.walk.stands:
             self._pace(None)
         else:
@@ -274,6 +280,23 @@ class PersonActor:
             self._trail.clear()
         if not self._trail:
             self._held_up = 0
+        self._follow()
+        return True
+
+    def _shuffles(self, towards: NDArray) -> bool:
+        """Steps towards a floor point [2] without turning where turning would have touched others for long; returns whether it
+        did. Two people side by side in a corridor could neither turn nor walk."""
+        gait, before = self._gait_here(), self._posture()
+        stopped, leg = gait.take([0]), towards - self.xz
+        left = float(np.hypot(*leg))
+        if self._held_up < BACK_AFTER_STEPS or not left > 0.0:
+            return False
+        move_people(gait, (self.xz + leg * min(SHUFFLE_MPS * STEP_S / left, 1.0))[None], gait.heading, self.spec)
+        self.person.stride(gait)
+        if self.meets():
+            self._gait = stopped
+            self._take(before)
+            return False
         self._follow()
         return True
 

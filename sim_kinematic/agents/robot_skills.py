@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
+from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.hand_reach import hand_turn, is_beyond_reach, reach_bearing, reach_posture
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.robot_arm_clearance import ArmClearance, reach_line
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
-from sim_kinematic.agents.stands import nearest_stand, robot_stands
+from sim_kinematic.agents.stands import discs_fit, nearest_stand, robot_stands
 from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
-from sim_kinematic.avoidance.robot_base import footprint_of, wider_by
+from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import is_crowded, keep_clear
 from sim_kinematic.avoidance.yielding import NO_PATH, Seen, avoided, discs_of, path_around, retreat_place
@@ -36,6 +36,8 @@ NEARLY_M = 0.15
 """A base that has stalled is content with this distance."""
 FACING_RAD = 0.04
 """A base faces a point within this angle."""
+ARM_OUT_M = 0.05
+"""A base stands while the hand is farther from its middle than this beyond the folded arm's."""
 
 
 def checked_command(command: ArrayLike, robot: Robot) -> Array:
@@ -62,7 +64,8 @@ class RobotActor:
     free: FreeSpace
     """The floor for a base of its size."""
     base: BaseSpec
-    """Its own discs and limits (`sim_kinematic.avoidance.robot_base.base_of`)."""
+    """Its own discs and limits (`sim_kinematic.avoidance.robot_base.base_of`), which cover what it carries while it carries
+    something."""
     objects: Objects
     grip_m: float
     arm_rad_s: float
@@ -91,6 +94,8 @@ class RobotActor:
         self.state: RobotState = self.objects.state.robots[self.number]
         """Its own part of the state of one world."""
         self.arm_goal = self.robot.rest.copy()
+        self._empty_base, self._carrying_base = self.base, carrying_base_of(self.robot, self.base)
+        self._folded_m = float(np.hypot(*self._hand_in_root(self.robot.rest)[[0, 2]])) if self._arm.size else 0.0
         self.footprint: Footprint = footprint_of(self.base)
         self._commands: list[tuple[float, float]] = []
         """Rest of a maneuver by which it steps aside."""
@@ -159,6 +164,11 @@ class RobotActor:
         out = pose_from_matrix(frame)
         out[:3] += frame[:3, :3] @ self.robot.hand_position
         return out
+
+    def _hand_in_root(self, joints: NDArray) -> Array:
+        """The point at which the hand holds things in the agent root frame [3] at joint positions [J]."""
+        frame = self.robot.link_matrices(IDENTITY_POSE[None], joints[None])[0, self.robot.hand_link]
+        return frame[:3, 3] + frame[:3, :3] @ self.robot.hand_position
 
     # --- skills -------------------------------------------------------------------------------------------------------
     def infeasible(self, action: Action) -> str:
@@ -235,6 +245,7 @@ class RobotActor:
         state, robot, rules = self.objects.state, self.robot, ArmSpec(grasp_m=self.grip_m)
         action = checked_command(command, robot)
         self.command = float(action[0]), float(action[1])
+        self._choose_base()
         drive_robots(self.state, self.free, action[None, :2], self.base)
         move_arms(self.state, robot, action[None, 2:-1], rules)
         self.arm_goal = self.joints.copy()
@@ -250,6 +261,7 @@ class RobotActor:
         if not np.isfinite(left):
             gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
             return Ending("failed", "no_room" if gets_there else "no_way")
+        yield from self._fold_arm()
         goal = stands[k, :2]
         ending = yield from self.drive_to(goal, facing=point[[0, 2]])
         if ending.outcome == "failed" and self.base.maneuvers:
@@ -411,6 +423,12 @@ class RobotActor:
         yield from self._withdraw_hand(over)
         return Ending("done")
 
+    def _fold_arm(self) -> Generator[None, None, None]:
+        """Stands until the hand is nearly over the base: one that drove off with its arm out had the hand 6 cm in a wall."""
+        while not self._is_instant and np.hypot(*self._hand_in_root(self.joints)[[0, 2]]) > self._folded_m + ARM_OUT_M:
+            self._step(0.0, 0.0)
+            yield
+
     # --- motion -------------------------------------------------------------------------------------------------------
     def _hand_target(self, action: Action) -> Array:
         """pose7 of the hand, in the agent root frame, for a pick or a place."""
@@ -485,6 +503,7 @@ class RobotActor:
     def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, avoid: bool = True) -> None:
         """Moves base, arm and what is held by one step; nothing moves that would touch another agent."""
         self.command = forward, turn
+        self._choose_base()
         if self.avoids and avoid:
             aim = self.xz if towards is None else towards
             others = avoided(self._seen(), agreed=self.agreed)
@@ -505,6 +524,15 @@ class RobotActor:
         k = self.objects.held(self.number)
         if k >= 0:
             self.objects.poses[k] = pose_multiply(self.hand_pose, self.objects.state.grip_pose[0, k])
+
+    def _choose_base(self) -> None:
+        """Has the base keep clear by what the hand carries too, from where it has the room for that."""
+        if self._carrying_base is self._empty_base:
+            return
+        if self.objects.held(self.number) < 0:
+            self.base = self._empty_base
+        elif self.base is self._empty_base and discs_fit(self.free, self._carrying_base, self.xz, self.heading):
+            self.base = self._carrying_base
 
 
 def _has_come_near(other: Seen, stood: dict[int, NDArray], xz: NDArray) -> bool:

@@ -21,7 +21,7 @@ from sim_kinematic.avoidance.routes import FloorRoutes
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import least_gap
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.motion.step import integrate, is_clear
+from sim_kinematic.motion.step import drive_base, integrate, is_clear
 
 MOVE_M = 0.1
 """Length of a move, also the side of a cell in which two poses count as one."""
@@ -35,6 +35,8 @@ GAIN_M = 1.5
 """A maneuver ends as soon as it has shortened the path by this much."""
 GREED = 1.5
 """Weight of the path that is left: higher finds sooner what is longer."""
+SLIDES_M = 0.02
+"""A first move along a wall by less than this is none; a turn counts as at a distance of a cell from the middle."""
 MOST_NODES = 30_000
 AGENT_GAP_M = 0.05
 """Gap kept to other agents [m]."""
@@ -44,10 +46,11 @@ NO_COMMANDS = np.zeros((0, 2))
 @kernel(error_model="numpy")
 def _search(
     sdf, origin, cell, x, z, heading, offsets, radius, hull, discs, left, grid_origin, grid_cell, moves, steps, dt, enough,
-    bearing, facing, poses, parents, moved,
+    bearing, facing, slides, slide, poses, parents, moved,
 ):  # fmt: skip
     """Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that led there); returns the last node, -1 if there
-    is no maneuver. ``bearing`` is the heading wanted at the end within ``facing`` [rad]."""
+    is no maneuver. ``bearing`` is the heading wanted at the end within ``facing`` [rad]. Where it ``slides``, the first
+    move does so as `drive_base`, of which ``slide`` are radius, iterations, tolerances and longest step."""
     nx, nz = left.shape
     seen = np.zeros((nx, nz, HEADINGS), np.bool_)
     sector = 2.0 * math.pi / HEADINGS
@@ -72,11 +75,17 @@ def _search(
             nx_, nz_, nh = px, pz, ph
             free = True
             for _ in range(steps):
+                if slides and node == 0:
+                    nx_, nz_, nh, _ = drive_base(
+                        sdf, origin, cell, nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt, offsets, *slide
+                    )
+                    continue
                 nx_, nz_, nh = integrate(nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt)
                 if not is_clear(sdf, origin, cell, nx_, nz_, nh, offsets, radius):
                     free = False
                     break
-            if not free:
+            gone = math.hypot(nx_ - px, nz_ - pz) + abs(nh - ph) * grid_cell
+            if not free or gone < SLIDES_M:
                 continue
             a, b = int((nx_ - grid_origin[0]) / grid_cell), int((nz_ - grid_origin[1]) / grid_cell)
             c = int(math.floor(nh / sector + 0.5)) % HEADINGS
@@ -136,12 +145,17 @@ def plan_maneuver(
         disc[2] = min(disc[2] + base.disc_radius_m + AGENT_GAP_M, now - 1e-3)
     poses, parents = np.empty((MOST_NODES, 3)), np.empty(MOST_NODES, np.int64)
     moved = np.empty(MOST_NODES, np.int64)
-    node = _search(
-        free.sdf, free.origin, free.cell_m, float(xz[0]), float(xz[1]), float(heading), offsets,
-        base.disc_radius_m - base.clearance_tolerance_m, hull, wide, left, grid.origin, AVOIDANCE.cell_m, moves, steps, STEP_S,
-        max(here - GAIN_M, within_m), 0.0 if bearing is None else bearing,
-        math.pi / HEADINGS if ends and bearing is not None else math.inf, poses, parents, moved,
-    )  # fmt: skip
+    slide = base.disc_radius_m, base.slide_iterations, base.clearance_tolerance_m, base.contact_tolerance_m
+    node = -1
+    for slides in (False, True):  # a base wedged between two walls cannot move at all without
+        if node < 0:
+            node = _search(
+                free.sdf, free.origin, free.cell_m, float(xz[0]), float(xz[1]), float(heading), offsets,
+                base.disc_radius_m - base.clearance_tolerance_m, hull, wide, left, grid.origin, AVOIDANCE.cell_m, moves,
+                steps, STEP_S, max(here - GAIN_M, within_m), 0.0 if bearing is None else bearing,
+                math.pi / HEADINGS if ends and bearing is not None else math.inf, slides,
+                (*slide, base.farthest_m(STEP_S)), poses, parents, moved,
+            )  # fmt: skip
     chosen: list[int] = []
     while node > 0:
         chosen.append(int(moved[node]))

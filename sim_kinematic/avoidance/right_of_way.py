@@ -188,6 +188,8 @@ class RightOfWay:
             return False
         self._requests[other.number] = _Request(other.number, leaves)
         self._requests[me.number] = _Request(other.number, back)
+        # both have new goals: the one that was held up would otherwise give up before it has made a step
+        self._stalled[me.number] = self._stalled[other.number] = 0
         return True
 
     # --- how long ------------------------------------------------------------------------------------------------------

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import lru_cache
+
+import numpy as np
 
 from h3data.bodies import Robot
 from h3data.errors import SceneError
+from h3data.geometry import IDENTITY_POSE
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 
+CARRIED_M = 0.11
+"""Radius of a ball that stands for what a robot carries: of the objects in `h3-homes` only boxes of books have corners farther
+from their middle, 14 cm."""
 _RULES = BaseSpec()
 
 
@@ -59,6 +66,26 @@ def footprint_of(base: BaseSpec) -> Footprint:
 def wider_by(base: BaseSpec) -> float:
     """Returns by how much a base's discs are wider than those of ``quad_arm`` [m]."""
     return base.disc_radius_m - _RULES.disc_radius_m
+
+
+def carrying_base_of(robot: Robot, base: BaseSpec) -> BaseSpec:
+    """Returns a base with one more disc, which covers what the folded arm carries (a ball of `CARRIED_M`), where the base's own
+    discs do not; ``base`` itself if it is not the one that covers the whole robot, such as that of the profile ``habitat``.
+
+    The hand of ``quad_arm`` is 5 cm behind the front of its base, so what it carried was up to 11 cm in walls.
+    """
+    if base.disc_offsets_m != tuple(robot.base_discs.tolist()) or robot.hand_link < 0:
+        return base
+    hand = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0, robot.hand_link]
+    ahead, _, aside = hand[:3, 3] + hand[:3, :3] @ robot.hand_position
+    spare = max(base.disc_radius_m - CARRIED_M, 0.0)
+    offsets = np.array(base.disc_offsets_m)
+    if np.hypot(offsets - ahead, aside).min() <= spare:
+        return base
+    nearest = offsets[np.abs(offsets - ahead).argmin()]
+    # the least offset that covers the ball; beside a hand that is too far to the side, as well as a disc can
+    needed = ahead - math.copysign(math.sqrt(max(spare**2 - float(aside) ** 2, 0.0)), ahead - nearest)
+    return replace(base, disc_offsets_m=(*base.disc_offsets_m, float(needed)))
 
 
 def floor_of(robot: Robot, base: BaseSpec, scene: Scene, free: FreeSpace) -> FreeSpace:

@@ -83,6 +83,8 @@ class AvoidanceSpec:
     # --- people on their path, and agents that wait ----------------------------------------------------------------------
     ahead_m: float = 1.2
     """An agent is in a person's way if it is within this distance along their path and both would touch."""
+    beside_nearer_m: float = 0.03
+    """One to whom a person gets nearer by less than this is beside them, not in their way."""
     moving_m: float = 0.1
     """Additional gap [m] within which an agent that moves is in the way."""
     passing_m: tuple[float, ...] = (0.1, 0.0)

@@ -92,7 +92,8 @@ def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[Seen]) -> Seen | 
             room = AVOIDANCE.person.radius_m + radius + (0.0 if stands(other) else AVOIDANCE.moving_m)
             along, aside = float(gap @ ahead), float(abs(gap[0] * ahead[1] - gap[1] * ahead[0]))
             distance = float(np.hypot(*gap))
-            if 0 < along < min(AVOIDANCE.ahead_m, length) + room and aside < room and distance < nearest:
+            nears = distance - aside > AVOIDANCE.beside_nearer_m if along > 0 else False
+            if nears and along < min(AVOIDANCE.ahead_m, length) + room and aside < room and distance < nearest:
                 blocker, nearest = other, distance
     return blocker
 

@@ -30,6 +30,15 @@ CREEP_MPS, SHARP_RAD = 0.1, 0.6
 FRONT_M, FRONT_ROOM_M, FRONT_RAD = 0.3, 0.15, 0.5
 """People who are not yet turned to where they go, by so much, first turn if something is nearer than this room to the floor
 this far ahead of them: legs that swing while they turn in a curve would get into it."""
+TURN_ROOM_M, TURN_RAD = 0.1, 1.2
+"""People who have to turn by more than this angle, and have no more room than this beside them, turn where they stand: creeping
+along a U-turn brought the broadest body's elbows 5 cm into the wall beside it."""
+SHOULDER_M = 0.05
+"""Distance that people who cut a corner keep beyond their radius, where there is room: the upper arms of the broadest body were
+3 cm in door posts."""
+FACE_M, FACE_RAD = 0.6, 0.8
+"""Length of the end of a path on which people turn to what they came for, and how far sideways they walk meanwhile. Those who
+arrived first and turned then stood turning in 3% of the steps of rearrangement."""
 CORNER_M = 0.5
 """How far beyond the point that they walk to people see a corner coming."""
 
@@ -82,13 +91,25 @@ def _progress(path, cumulative, along, x, z):
 
 
 @kernel(error_model="numpy")
-def stride_step(sdf, origin, cell, radius, path, cumulative, goes, halts, state, speed, limits, patience, dt):
+def _slide(sdf, origin, cell, radius, x, z, nx, nz, most):
+    """Where a step from (x, z) to (nx, nz) ends that keeps ``radius`` to obstacles, ``most`` [m] long at most, how far the
+    obstacles let it get, and the least clearance on it: ``(x, z, moved, clearance)``."""
+    sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, PUSHES)
+    moved = math.hypot(sx - x, sz - z)
+    share = min(most / moved, 1.0) if moved > 0.0 else 1.0
+    sx, sz = x + share * (sx - x), z + share * (sz - z)
+    return sx, sz, moved, min(clearance, sample_sdf(sdf, origin, cell, sx, sz))
+
+
+@kernel(error_model="numpy")
+def stride_step(sdf, origin, cell, radius, path, cumulative, goes, halts, facing, state, speed, limits, patience, dt):
     """One step along a path, in place: ``state`` is x, z, heading, speed, turn rate, how far along the path, the angle between
     the directions of walking and looking, the farthest that they have been along the path, steps without getting on, and
     whether they keep to the path itself, corners and all.
 
     ``limits`` are `StrideSpec.limits`; after ``patience`` steps without getting on people keep to the path. With ``halts``
-    they stop on its last point, else they pass it. Returns whether they have arrived.
+    they stop on its last point, else they pass it. From `FACE_M` before the end on they turn to the heading ``facing`` [rad]
+    while they walk, if it is not NaN. Returns whether they have arrived.
     """
     accel, decel, turn_rate, turn_accel, gain, look, sidestep, sidestep_rate, arrive = limits
     x, z, heading, v, turn = state[0], state[1], state[2], state[3], state[4]
@@ -112,18 +133,24 @@ def stride_step(sdf, origin, cell, radius, path, cumulative, goes, halts, state,
     wanted = min(max(gain * bearing, -turn_rate), turn_rate)
     if closing or not goes:
         wanted = 0.0
+    aims = goes and not math.isnan(facing) and to_end < FACE_M and along + ahead >= total and not keeps_to_path
+    if aims:
+        missing = wrap_angle(facing - heading)
+        if not closing:  # as far as they can walk sideways
+            missing = bearing + min(max(wrap_angle(missing - bearing), -FACE_RAD), FACE_RAD)
+        wanted = min(max(gain * missing, -turn_rate), turn_rate)
     turn += min(max(wanted - turn, -turn_accel * dt), turn_accel * dt)
     facing = 1.0 if closing else max(math.cos(bend), 0.0) ** 2
     left = to_end if along >= total - ahead else total - along
     most = max(speed * max(facing, 0.2), CREEP_MPS / 2)
     most = min(most, max(math.sqrt(2.0 * decel * left), CREEP_MPS / 2))
-    widest = math.pi if closing or keeps_to_path else sidestep
+    widest = math.pi if closing or keeps_to_path else FACE_RAD if aims else sidestep
     wanted_off = min(max(bearing, -widest), widest)
     if not goes or (keeps_to_path and abs(wrap_angle(wanted_off - state[6])) > SHARP_RAD):
         most = 0.0
     if not keeps_to_path and not closing and abs(bearing) > FRONT_RAD:
         front = sample_sdf(sdf, origin, cell, x + math.cos(heading) * FRONT_M, z - math.sin(heading) * FRONT_M)
-        if front < FRONT_ROOM_M:
+        if front < FRONT_ROOM_M or (room < TURN_ROOM_M and abs(bearing) > TURN_RAD):
             most = 0.0
     v += min(max(most - v, -decel * dt), accel * dt)
     there = goes and to_end <= v * dt and along + ahead >= total
@@ -134,12 +161,15 @@ def stride_step(sdf, origin, cell, radius, path, cumulative, goes, halts, state,
     off = wanted_off if v < CREEP_MPS else off + min(max(wrap_angle(wanted_off - off), -most_off), most_off)
     direction = heading + off
     nx, nz = x + math.cos(direction) * v * dt, z - math.sin(direction) * v * dt
-    if sample_sdf(sdf, origin, cell, nx, nz) < radius:
-        sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, PUSHES)
-        moved = math.hypot(sx - x, sz - z)
-        share = min(v * dt / moved, 1.0) if moved > 0.0 else 1.0
-        sx, sz = x + share * (sx - x), z + share * (sz - z)
-        if min(clearance, sample_sdf(sdf, origin, cell, sx, sz)) >= min(radius, room + radius) - 1e-3:
+    beside = sample_sdf(sdf, origin, cell, nx, nz)
+    wide = min(radius + SHOULDER_M, max(room + radius, radius))
+    if beside < wide and not closing and not keeps_to_path:
+        sx, sz, moved, clearance = _slide(sdf, origin, cell, wide, x, z, nx, nz, v * dt)
+        if clearance >= wide - 1e-3:
+            nx, nz, v, beside = sx, sz, min(v, max(moved / dt, v - decel * dt)), radius
+    if beside < radius:
+        sx, sz, moved, clearance = _slide(sdf, origin, cell, radius, x, z, nx, nz, v * dt)
+        if clearance >= min(radius, room + radius) - 1e-3:
             nx, nz, v = sx, sz, min(v, max(moved / dt, v - decel * dt))
         elif not keeps_to_path:
             nx, nz, v = x, z, 0.0
@@ -157,7 +187,7 @@ def stride_track(sdf, origin, cell, radius, path, cumulative, halts, state, spee
     """Walks the whole path, or as much as fits into ``track`` [n, 3] (x, z, heading); returns the number of steps."""
     for k in range(len(track)):
         there = stride_step(
-            sdf, origin, cell, radius, path, cumulative, True, halts, state, speed, limits, patience, dt
+            sdf, origin, cell, radius, path, cumulative, True, halts, math.nan, state, speed, limits, patience, dt
         )
         track[k, 0], track[k, 1], track[k, 2] = state[0], state[1], state[2]
         if there:
@@ -180,7 +210,7 @@ class Strider:
         self._rules = spec.speed_mps, spec.stride.limits, round(spec.stride.patience_s / STEP_S), STEP_S
         self._path, self._cumulative = np.zeros((2, 2)), np.zeros(2)
         self._state = np.zeros(10)
-        self._halts = halts
+        self._halts, self._facing = halts, math.nan
         self.arrived = True
 
     def halt(self) -> None:
@@ -201,8 +231,10 @@ class Strider:
     def _next(self) -> int:
         return int(np.searchsorted(self._cumulative, self._state[5] + PROGRESS_M))
 
-    def begin(self, path: Array) -> None:
-        """Takes the path [K, 2] from where the person is; speed and turning go on."""
+    def begin(self, path: Array, *, facing: float | None = None) -> None:
+        """Takes the path [K, 2] from where the person is; speed and turning go on. They arrive turned to the heading ``facing``
+        [rad] as far as they can turn on the last steps."""
+        self._facing = math.nan if facing is None else facing
         path = np.asarray(path, np.float64)
         self._path = np.ascontiguousarray(path if len(path) > 1 else np.repeat(path, 2, axis=0))
         self._cumulative = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._path, axis=0).T))])
@@ -214,7 +246,9 @@ class Strider:
         """Where the person is after a step from ``xz`` [2] and ``heading``; whoever does not go brakes."""
         state = self._state
         state[0], state[1], state[2] = xz[0], xz[1], heading
-        self.arrived = stride_step(*self._grid, self._path, self._cumulative, goes, self._halts, state, *self._rules)
+        self.arrived = stride_step(
+            *self._grid, self._path, self._cumulative, goes, self._halts, self._facing, state, *self._rules
+        )
         return state[:2].copy(), float(state[2])
 
     def whole(self, xz: Array, heading: float, *, most: int) -> NDArray[np.float64]:

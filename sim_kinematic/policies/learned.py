@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from sim_kinematic.motion.spec import BaseSpec
-from sim_kinematic.policies.network import Network, load_network
+from sim_kinematic.policies import network as files
+from sim_kinematic.policies import pictured
+from sim_kinematic.policies.network import Network
+from sim_kinematic.policies.pictured import PicturedNetwork
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
@@ -45,7 +48,7 @@ def stamped(policy: str) -> str:
     return policy if found else f"{policy}@{network.digest[:12]}"
 
 
-def network_of(policy: str) -> Network:
+def network_of(policy: str) -> Network | PicturedNetwork:
     """The network that ``weights:FILE`` or ``weights:FILE@digest`` names.
 
     Raises:
@@ -66,9 +69,17 @@ def network_of(policy: str) -> Network:
 
 
 @lru_cache(maxsize=8)
-def _loaded(path: Path, changed_ns: int) -> Network:
+def _loaded(path: Path, changed_ns: int) -> Network | PicturedNetwork:
     del changed_ns  # a file that has changed is read again
-    return load_network(path)
+    found, data = files.read_arrays(path)
+    if found == pictured.FILE_FORMAT:
+        return pictured.pictured_from(data, path)
+    if found == files.FILE_FORMAT:
+        return files.network_from(data, path)
+    raise FormatError(
+        f"Expected a file of weights ({files.FILE_FORMAT}) or a trained policy ({pictured.FILE_FORMAT}), got {found}. "
+        f"{files.HINT} File: {path}"
+    )
 
 
 # --- social navigation --------------------------------------------------------------------------------------------------
@@ -121,7 +132,63 @@ class LearnedNavigation:
         return Velocity(forward, turn, "follow" if view.met else "find")
 
 
-def require(network: Network, task: str, known: Mapping[str, Any], *, outputs: int) -> None:
+class PicturedNavigation:
+    """A robot of social navigation that sees and remembers: the recurrent state is its own, so there is one for each
+    episode. An action is held for as many steps as in training."""
+
+    def __init__(self, network: PicturedNetwork, *, robot: str = "") -> None:
+        """
+        Args:
+            network: The policy.
+            robot: Body that it drives; empty where nobody says.
+
+        Raises:
+            FormatError: it is for another task or another robot.
+        """
+        require(network, "social_nav", {"arm_depth": None, **pictured.ENCODINGS}, outputs=2)
+        if robot and robot != network.card.robot:
+            raise FormatError(f"These weights drive the robot {network.card.robot}, the episode has {robot}.")
+        self.network = network
+        self._state, self._action = network.start(), np.zeros(2, np.float32)
+        self._step = -1
+
+    def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
+        """As `sim_kinematic.policies.social_nav.Policy`."""
+        if view.step == 0 or view.step <= self._step:
+            self._state, self._action = self.network.start(), np.zeros(2, np.float32)
+        if view.step % self.network.card.hold == 0:
+            out, self._state = self.network(self.look(view, spec), self._action, self._state)
+            self._action = np.clip(np.nan_to_num(out, nan=0.0), -1, 1)
+        self._step = view.step
+        forward, turn = self._action.tolist()
+        return Velocity(forward, turn, "follow" if view.met else "find")
+
+    def look(self, view: SocialNavView, spec: BaseSpec) -> dict[str, NDArray[Any]]:
+        """The observations of a moment by name, as in training.
+
+        Raises:
+            InputError: the view has no eyes.
+        """
+        card = self.network.card
+        pictures = tuple(n for n in card.observations if n not in NAVIGATION_INPUTS)
+        shown = {n: NAVIGATION_INPUTS[n](view, spec) for n in card.observations if n in NAVIGATION_INPUTS}
+        if pictures and view.pictures is None:
+            raise InputError(f"The policy needs {' and '.join(pictures)}, and nobody takes pictures here.")
+        return shown | (view.pictures(pictures, card.picture_size) if pictures and view.pictures else {})
+
+
+def navigation_of(network: Network | PicturedNetwork, *, robot: str = "") -> LearnedNavigation | PicturedNavigation:
+    """A fresh player of a network for one episode.
+
+    Raises:
+        FormatError: the network is for another task or another robot.
+    """
+    if isinstance(network, PicturedNetwork):
+        return PicturedNavigation(network, robot=robot)
+    return LearnedNavigation(network)
+
+
+def require(network: Network | PicturedNetwork, task: str, known: Mapping[str, Any], *, outputs: int) -> None:
     """Refuse a network that is for another task, is shown what we do not have, or answers with other numbers.
 
     Raises:

@@ -16,7 +16,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.policies.learned import LearnedNavigation, is_learned, network_of, stamped
+from sim_kinematic.policies.learned import LearnedNavigation, is_learned, navigation_of, network_of, stamped
 from sim_kinematic.policies.network import load_network
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
@@ -231,10 +231,15 @@ POLICIES: dict[str, Policy] = {
 }
 
 
+EXPERTS = ("heuristic_expert", "sampling_expert", "future_oracle")
+"""Those that, chosen by name, also back out of where they are stuck (`sim_kinematic.policies.maneuvering`); `plain_expert` has
+the paper's two rules and no more."""
+
+
 def policy_by_name(name: str) -> Policy:
     """The policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
     if is_learned(name):
-        return LearnedNavigation(network_of(name))
+        return navigation_of(network_of(name))
     if name not in POLICIES:
         raise InputError(
             f"Unknown policy {name!r}.{did_you_mean(name, POLICIES)} Expected one of: {', '.join(POLICIES)}, or weights:FILE."

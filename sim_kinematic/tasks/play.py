@@ -186,6 +186,18 @@ class WorldPlay:
             partial(self._traffic_of, world),
         )
 
+    def pictures(
+        self, agent: int, world: int, names: Sequence[str], size: tuple[int, int] | None
+    ) -> dict[str, NDArray[Any]]:
+        """Named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`."""
+        from sim_kinematic.sensing.eyes import see
+
+        state = self.world.state.take(np.array([world]))
+        bodies = [member.body for member in self.world.roster]
+        floor_y, speed = float(self.world.floor_y[world]), self.spec.human.speed_mps
+        scene = self.episodes[world].scene
+        return see(state, scene, bodies, names, agent=agent, size=size, floor_y=floor_y, speed_mps=speed)
+
     def _traffic_of(self, world: int) -> Traffic:
         if world not in self._traffic:
             floors = [agent_floor(self.episodes[world], number) for number in range(len(self.world.roster))]

@@ -25,9 +25,10 @@ from sim_kinematic.agents.waypoint_walker import HumanPlan
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.learned import LearnedNavigation, is_learned, network_of, stamped
+from sim_kinematic.policies.learned import is_learned, navigation_of, network_of, stamped
+from sim_kinematic.policies.maneuvering import Maneuvering
 from sim_kinematic.policies.policy import FunctionPolicy
-from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, policy_by_name
+from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, policy_by_name
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
@@ -144,9 +145,10 @@ class SocialNav(Task):
     def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
         kind = episode.roster[number].kind
         if kind == "robot" and is_learned(name):
-            return AssignedPolicy(
-                FunctionPolicy(LearnedNavigation(network_of(name)), agent_base(episode, number)), stamped(name), kind
-            )
+            player = navigation_of(network_of(name), robot=episode.roster[number].model)
+            return AssignedPolicy(FunctionPolicy(player, agent_base(episode, number)), stamped(name), kind)
+        if kind == "robot" and name in EXPERTS:
+            return AssignedPolicy(Maneuvering(POLICIES[name], agent_base(episode, number)), name, kind)
         if kind == "human" and name == "waypoints":
             walker = WaypointPolicy(episode.free, episode.seed, episode.spec.human, goals_of(episode))
             return AssignedPolicy(walker, name, kind)
@@ -183,6 +185,7 @@ class SocialNav(Task):
             (was.xz[world].copy(), float(was.heading[world])) if step else None,
             was_person.xz[world].copy() if step else None,
             self._future(play, step),
+            partial(play.pictures, agent, world),
         )
 
     def _future(self, play: WorldPlay, step: int) -> Callable[[], NDArray[np.float64]] | None:

@@ -146,7 +146,7 @@ def test_a_floor_elsewhere_and_a_cut_outside_are_repaired() -> None:
     np.testing.assert_allclose(strides, strides[0], rtol=0.01)
 
 
-@pytest.mark.parametrize("task", ["social_nav", "rearrange", "wander"])
+@pytest.mark.parametrize("task", ["social_nav", pytest.param("rearrange", marks=pytest.mark.slow), "wander"])
 def test_recordings_carry_the_walk(task: str, walk_file: Path, tmp_path: Path) -> None:
     copy = tmp_path / "walk.npz"
     copy.write_bytes(walk_file.read_bytes())

@@ -202,6 +202,7 @@ def test_a_free_space_becomes_triangles_of_the_same_area_and_back():
     assert again.geodesic(a, b) == pytest.approx(free.geodesic(a, b), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_large_home_has_few_convex_polygons(tmp_path):
     """habitat-sim's findPath gives up after 256 polygons on a path, and its search after 2,048 nodes."""
     free = FreeSpace.from_scene(build_home(HomeSpec(preset="large", seed=0)))

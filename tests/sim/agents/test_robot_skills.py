@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from h3data.bodies import load_robot
+from h3data.geometry import IDENTITY_POSE
 from h3data.scene import FreeSpace, HomeSpec, build_home
-from sim_kinematic.agents.robot_skills import ARRIVED_M, RobotActor
+from sim_kinematic.agents.robot_skills import ARM_OUT_M, ARRIVED_M, RobotActor
 from sim_kinematic.agents.skills import Action, Objects
+from sim_kinematic.avoidance.robot_base import CARRIED_M, base_of, carrying_base_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Seen
-from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 from sim_kinematic.motion.state import WorldState
 
 
@@ -20,12 +22,12 @@ def free() -> FreeSpace:
     return FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=1)), radius_m=0.25)
 
 
-def robot_at(free: FreeSpace, xz: np.ndarray, heading: float) -> RobotActor:
+def robot_at(free: FreeSpace, xz: np.ndarray, heading: float, base: BaseSpec = BaseSpec()) -> RobotActor:  # noqa: B008
     body = load_robot("quad_arm")
     state = WorldState.zeros(1, robots=1, people=1, joints=len(body.rest), objects=1)
     state.robots[0].joints[0] = body.rest
     state.robots[0].xz[0], state.robots[0].heading[0] = xz, heading
-    return RobotActor(body, free, BaseSpec(), Objects(("cup",), np.zeros((1, 3), np.float64), state), 0.15, 8.0)
+    return RobotActor(body, free, base, Objects(("cup",), np.zeros((1, 3), np.float64), state), 0.15, 8.0)
 
 
 def roomiest(free: FreeSpace) -> np.ndarray:
@@ -82,3 +84,69 @@ def test_an_interrupted_pick_folds_the_arm(free: FreeSpace) -> None:
     for _ in range(60):
         robot.idle()
     np.testing.assert_allclose(robot.joints, robot.robot.rest, atol=1e-6)
+
+
+@pytest.mark.parametrize("forward", [1.0, 0.0])
+def test_what_it_carries_stays_out_of_walls(free: FreeSpace, forward: float) -> None:
+    """It used to get 7 cm into walls that the base drove up to, and 11 cm into those beside which it turned."""
+    for heading in np.linspace(-np.pi, np.pi, 12):
+        robot = robot_at(free, roomiest(free), float(heading), HOME_BASE)
+        robot.objects.held_by[0] = robot.number
+        for k in range(240):
+            robot._step(forward, 0.3 if k % 60 < 20 else 0.0, avoid=False)
+            if forward == 0.0:
+                robot._step(1.0 if k % 60 > 30 else 0.0, 1.0, avoid=False)
+            assert free.signed_distance(robot.hand_pose[[0, 2]]) >= CARRIED_M - 0.01
+        robot.objects.held_by[0] = -1
+        robot._step(0.0, 0.0)
+        assert robot.base is HOME_BASE
+
+
+def test_where_there_is_no_room_for_what_it_has_taken_the_base_is_free_to_leave(free: FreeSpace) -> None:
+    robot = robot_at(free, roomiest(free), 0.0, HOME_BASE)
+    for _ in range(200):  # up to a wall with an empty hand
+        robot._step(1.0, 0.0, avoid=False)
+    robot.objects.held_by[0] = robot.number
+    start = robot.xz.copy()
+    for _ in range(30):
+        robot._step(-1.0, 0.0, avoid=False)
+    assert np.hypot(*(robot.xz - start)) > 0.5
+    assert robot.base == carrying_base_of(robot.robot, HOME_BASE)
+
+
+@pytest.mark.parametrize("name", ["quad_arm", "lift_arm"])
+def test_bases_cover_what_robots_carry(name: str) -> None:
+    robot = load_robot(name)
+    base = base_of(robot, HOME_BASE)
+    carrying = carrying_base_of(robot, base)
+    hand = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0, robot.hand_link]
+    ahead, _, aside = hand[:3, 3] + hand[:3, :3] @ robot.hand_position
+    gaps = np.hypot(np.array(carrying.disc_offsets_m) - ahead, aside)
+    assert gaps.min() + CARRIED_M <= carrying.disc_radius_m + 0.01
+    assert set(base.disc_offsets_m) < set(carrying.disc_offsets_m)
+
+
+def test_habitats_base_stays_as_it_is() -> None:
+    robot = load_robot("quad_arm")
+    assert carrying_base_of(robot, BaseSpec()) == BaseSpec()
+
+
+def test_it_stands_until_its_arm_is_folded(free: FreeSpace) -> None:
+    """Robots drove off with the arm out: the hand was 6 cm in the wall that they turned towards."""
+    robot = robot_at(free, roomiest(free), 0.0, HOME_BASE)
+    thing = [robot.xz[0] + 0.75, free.floor_y + 0.6, robot.xz[1]]
+    robot.objects.poses[0] = [*thing, 0, 0, 0, 1]
+    for _ in robot.start(Action("pick", 0)):
+        pass
+    assert robot.objects.held(robot.number) == 0
+    robot.objects.goals[0] = [robot.xz[0], free.floor_y + 0.6, robot.xz[1] + 1.5]
+    start, out = robot.xz.copy(), []
+    for k, _ in enumerate(robot.start(Action("nav_to_goal", 0))):
+        far = np.hypot(*(robot.hand_pose[[0, 2]] - robot.xz))
+        if far > robot._folded_m + ARM_OUT_M:
+            out.append(k)
+            np.testing.assert_array_equal(robot.xz, start)
+        if k > 40:
+            break
+    assert out
+    assert np.hypot(*(robot.xz - start)) > 0.1

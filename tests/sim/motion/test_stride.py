@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,9 +17,10 @@ from h3data.geometry import Array, heading_from_quat, wrap_angle
 from h3data.metrics.paper.protocol import protocol_deviations
 from h3data.recording import Recording
 from h3data.scene import FreeSpace
+from h3data.scene.freespace.build import build_from_walkable
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.motion.spec import HOME_WALKER, NATURAL_WALKER, STEP_S, StrideSpec, WalkerSpec
-from sim_kinematic.motion.stride import Strider
+from sim_kinematic.motion.stride import SHOULDER_M, Strider
 from sim_kinematic.tasks.resume import verify
 
 RADIUS_M = 0.25
@@ -54,7 +56,8 @@ def test_nobody_is_faster_sharper_or_nearer_to_walls_than_allowed(seed: int, hom
     assert np.abs(np.diff(turn)).max() <= STRIDE.turn_accel_rad_s2 * STEP_S + 1e-6
     room = floor(home).signed_distance(track[:, :2])
     assert room.min() >= RADIUS_M - EDGE_MM / 1000
-    free = (room[1:-1] > RADIUS_M + 0.05) & (room[2:] > RADIUS_M + 0.05)  # walls may stop them at once
+    beside = RADIUS_M + SHOULDER_M + 0.01
+    free = (room[1:-1] > beside) & (room[2:] > beside)  # walls may stop them at once
     change = np.diff(moved)[free] / STEP_S
     assert change.max(initial=0) <= STRIDE.accel_mps2 + 1e-6
     assert -change.min(initial=0) <= STRIDE.decel_mps2 + 1e-6
@@ -88,6 +91,62 @@ def test_who_faces_a_wall_turns_away_before_they_walk(seed: int) -> None:
         walked_at_wall += float(np.hypot(*(xz - before))) * (faces > 0.8)
     assert walked_at_wall < 0.03
     assert np.hypot(*(xz - start)) > 0.15
+
+
+def room(*parts: shapely.Polygon) -> FreeSpace:
+    """The free floor of rooms that are one."""
+    sizes = {"floor_y": 0.0, "radius_m": RADIUS_M, "height_m": 1.4, "max_climb_m": 0.2, "cell_m": 0.05}
+    return FreeSpace.from_map(build_from_walkable(shapely.MultiPolygon([shapely.union_all(parts)]), **sizes))  # type: ignore[arg-type,list-item]
+
+
+@pytest.mark.parametrize("lateral", [-0.03, 0.0, 0.03])
+@pytest.mark.parametrize("heading", [0.0, 0.2, 2.0])
+def test_who_turns_back_in_a_narrow_place_stays_in_its_middle(lateral: float, heading: float) -> None:
+    """Creeping round a U-turn they got 7 cm nearer to the wall, elbows first: 5 cm inside it with the broadest body."""
+    free = room(shapely.box(0.0, 0.0, 6.0, 0.64))
+    strider, xz = Strider(free, NATURAL_WALKER, halts=True), np.array([3.0, 0.32 + lateral])
+    strider.begin(np.array([xz, [0.6, 0.32]]))
+    before, least = float(free.signed_distance(xz)), np.inf
+    for _ in range(600):
+        xz, heading = strider.step(xz, heading)
+        if abs(wrap_angle(heading - np.pi)) > 0.6:
+            least = min(least, float(free.signed_distance(xz)))
+        if strider.arrived:
+            break
+    assert strider.arrived
+    assert least >= before - 0.02
+
+
+@pytest.mark.parametrize("facing", [-1.5, -0.7, 0.0, 0.7, 1.5, 3.0])
+def test_who_is_told_where_to_face_arrives_facing_it(facing: float) -> None:
+    """They turned on the spot after they had arrived."""
+    free = room(shapely.box(0.0, 0.0, 6.0, 6.0))
+    off = []
+    for told in (None, facing):
+        strider, xz, heading = Strider(free, NATURAL_WALKER, halts=True), np.array([1.0, 3.0]), 0.0
+        strider.begin(np.array([xz, [4.0, 3.0]]), facing=told)
+        for steps in range(200):  # noqa: B007
+            xz, heading = strider.step(xz, heading)
+            if strider.arrived:
+                break
+        assert strider.arrived
+        off.append((abs(float(wrap_angle(heading - facing))), steps))
+    assert off[1][0] <= max(abs(facing) - 1.1, 0.1)
+    assert off[1][1] <= off[0][1] + 8
+    np.testing.assert_allclose(xz, [4.0, 3.0], atol=1e-9)
+
+
+def test_who_cuts_a_corner_keeps_their_shoulders_out_of_it() -> None:
+    """They slid around door posts at the radius of the floor, 0.25 m; the broadest body is 0.27 m wide to each side."""
+    free = room(shapely.box(0.0, 0.0, 6.0, 1.0), shapely.box(5.0, 0.0, 6.0, 6.0))
+    for corner in ([5.2, 0.75], [5.3, 0.7], [5.25, 0.72]):
+        strider, xz, heading = Strider(free, NATURAL_WALKER, halts=True), np.array([2.0, 0.6]), 0.0
+        strider.begin(np.array([xz, corner, [5.5, 5.0]]))
+        least = np.inf
+        while not strider.arrived:
+            xz, heading = strider.step(xz, heading)
+            least = min(least, float(free.signed_distance(xz)))
+        assert least >= RADIUS_M + 0.8 * SHOULDER_M
 
 
 @given(st.integers(0, 10_000), st.floats(-3.1, 3.1))
@@ -189,7 +248,10 @@ def test_episodes_with_strides_verify(task: str) -> None:
     speed, turn = person_of(recording)
     assert speed.max() <= 1.3 + 1e-4
     assert (speed > 1.0).any()
-    assert ((speed < 0.03) & (np.abs(turn) > 0.03)).mean() < (0.15 if task == "rearrange" else 0.05)
+    most = {"social_nav": 0.05, "wander": 0.08, "rearrange": 0.15}[
+        task
+    ]  # not every turn in a small home has room for a curve
+    assert ((speed < 0.03) & (np.abs(turn) > 0.03)).mean() < most
     assert verify(recording).equal
 
 
