@@ -42,7 +42,7 @@ TorchObservation = Literal[
 ]
 """What a device shows; as in `sim_kinematic.envs.social_nav_observations`."""
 PICTURED = ("arm_depth", "humanoid_detector")
-"""Those that need a picture, and so a GPU and a bank of one scene."""
+"""Those that need a picture, and so a GPU."""
 STATE: tuple[TorchObservation, ...] = ("humanoid_gps", "egomotion")
 EPISODES = 512
 """Of the bank, unless said otherwise: some seconds to draw."""
@@ -203,18 +203,21 @@ class SocialNavTorchEnv:
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> TensorCameras:
         from sim_kinematic.torch.cameras import TensorCameras
 
-        if len(self.bank.scenes) != 1:
+        heights = sorted({floor.floor_y for floor in self.bank.floors})
+        if len(heights) != 1:
             raise InputError(
-                f"Pictures on a device are of one scene, the episodes play in {len(self.bank.scenes)}. Hint: scenes='small:1'."
+                f"Pictures on a device need floors at one height, the scenes have {heights} m. Hint: name one scene."
             )
         return TensorCameras(
-            self.bank.scenes[0], load_robot(robot), load_humanoid(human), self.sim.spec.human, worlds=self.num_envs,
-            floor_y=self.bank.floors[0].floor_y, size=size, device=self.device, compile=compile,
+            self.bank.scenes, load_robot(robot), load_humanoid(human), self.sim.spec.human, worlds=self.num_envs,
+            floor_y=heights[0], size=size, device=self.device, compile=compile,
         )  # fmt: skip
 
     def _pictures(self, cameras: TensorCameras) -> Tensors:
         detects = "humanoid_detector" in self._names
-        seen = cameras.observe(self.play.robot, self.play.human, ("depth", "semantic") if detects else ("depth",))
+        outputs = ("depth", "semantic") if detects else ("depth",)
+        place = self.sim.place_of(self.play) if len(self.bank.scenes) > 1 else None
+        seen = cameras.observe(self.play.robot, self.play.human, outputs, place=place)
         near, far = DEPTH_RANGE_M
         shown = {"arm_depth": ((seen["depth"][0].clip(near, far) - near) / (far - near))[..., None]}
         if detects:

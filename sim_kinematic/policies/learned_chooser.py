@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.errors import FormatError
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.policies.learned import network_of, require
 from sim_kinematic.policies.network import Network
@@ -45,7 +46,10 @@ def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser
     Raises:
         InputError: there is no such file, it is none, or does not fit.
     """
-    return LearnedChooser(network_of(policy), objects, robot=robot)
+    network = network_of(policy)
+    if not isinstance(network, Network):
+        raise FormatError(f"Expected weights for the task {TASK}, these are for {network.task!r}.")
+    return LearnedChooser(network, objects, robot=robot)
 
 
 def chooser_input(view: RearrangeView, names: Sequence[str]) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -22,6 +22,7 @@ from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 
 FILE_FORMAT = "h3data.network/1"
+HINT = "Hint: sim_kinematic.policies.network.save_network writes one."
 MAX_BYTES = 256 << 20
 """Files whose arrays take more than this are refused."""
 Activation = Literal["tanh", "relu"]
@@ -182,7 +183,18 @@ def load_network(path: str | Path) -> Network:
         InputError: there is no such file.
         FormatError: it is none, is damaged, or its layers do not fit together.
     """
-    data = _arrays(Path(path))
+    found, data = read_arrays(Path(path))
+    if found != FILE_FORMAT:
+        raise FormatError(f"Expected a file of weights ({FILE_FORMAT}), got {found}. {HINT} File: {path}")
+    return network_from(data, path)
+
+
+def network_from(data: Mapping[str, NDArray[Any]], path: str | Path) -> Network:
+    """The network in the arrays of a file.
+
+    Raises:
+        FormatError: an array is missing, or the layers do not fit together.
+    """
     count = sum(name.startswith("weight_") for name in data)
     try:
         return Network(
@@ -197,8 +209,13 @@ def load_network(path: str | Path) -> Network:
         raise FormatError(f"{fault} File: {path}") from None
 
 
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    hint = "Hint: sim_kinematic.policies.network.save_network writes one."
+def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
+    """The format and the arrays of a file of weights.
+
+    Raises:
+        InputError: there is no such file.
+        FormatError: it is none, is too large or damaged.
+    """
     try:
         with zipfile.ZipFile(path) as packed:
             size = sum(entry.file_size for entry in packed.infolist())
@@ -209,15 +226,12 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
         if not all(isinstance(array, np.ndarray) for array in data.values()):
             raise ValueError("it holds files that are no arrays")
     except (FileNotFoundError, IsADirectoryError):
-        raise InputError(f"Expected a file of weights, found none. {hint} File: {path}") from None
+        raise InputError(f"Expected a file of weights, found none. {HINT} File: {path}") from None
     except _DAMAGE as fault:
         raise FormatError(
-            f"Expected a file of weights ({FILE_FORMAT}), this is none ({fault}). {hint} File: {path}"
+            f"Expected a file of weights ({FILE_FORMAT}), this is none ({fault}). {HINT} File: {path}"
         ) from None
-    found = _word(data.get("format", np.array("another npz file")))
-    if found != FILE_FORMAT:
-        raise FormatError(f"Expected a file of weights ({FILE_FORMAT}), got {found}. {hint} File: {path}")
-    return data
+    return _word(data.get("format", np.array("another npz file"))), data
 
 
 def _word(array: NDArray[Any]) -> str:

@@ -33,17 +33,17 @@ View = Literal["robot", "human"]
 
 
 class TensorCameras:
-    """One home with a resting robot and a walking person, in W worlds that differ in where the two are."""
+    """Homes with a resting robot and a walking person, in W worlds that differ in the home and in where the two are."""
 
     def __init__(
-        self, scene: Scene, robot: Robot, human: Humanoid, walker: WalkerSpec, *, worlds: int, floor_y: float = 0.0,
-        views: Sequence[View] = ("robot",), camera: str = "robot_arm", size: tuple[int, int] | None = None,
-        hfov_deg: float | None = None, device: torch.device | str = "cuda", compile: bool = False,
-        renderer: Callable[..., GpuRenderer] | None = None,
+        self, scenes: Scene | Sequence[Scene], robot: Robot, human: Humanoid, walker: WalkerSpec, *, worlds: int,
+        floor_y: float = 0.0, views: Sequence[View] = ("robot",), camera: str = "robot_arm",
+        size: tuple[int, int] | None = None, hfov_deg: float | None = None, device: torch.device | str = "cuda",
+        compile: bool = False, renderer: Callable[..., GpuRenderer] | None = None,
     ) -> None:  # fmt: skip
         """
         Args:
-            scene: The home; all worlds share it.
+            scenes: The home that all worlds share, or those that `observe` chooses from.
             robot: Keeps its resting posture.
             human: Is drawn with the full mesh.
             walker: Which clip the person plays.
@@ -67,23 +67,10 @@ class TensorCameras:
         width, height = size or (mounted.width, mounted.height)
         self.share = width * height / (mounted.width * mounted.height)
         """Pixels of a picture over those of the robot's own camera."""
-        home = render_scene(scene)
-        links = [(k, link.mesh) for k, link in enumerate(robot.links) if link.mesh is not None]
-        meshes = [*home.meshes, *(mesh for _, mesh in links), human.mesh]
-        first, person = len(home.instances), len(meshes) - 1
-        ids = {i.name: i.semantic_id for i in scene.instances}
-        instances = [replace(i, semantic_id=ids[i.name]) for i in home.instances]
-        instances += [
-            RenderInstance(len(home.meshes) + k, np.eye(4), semantic_id=ROBOT_ID, name=robot.links[n].name)
-            for k, (n, _) in enumerate(links)
-        ]
-        instances.append(RenderInstance(person, np.eye(4), semantic_id=HUMAN_ID, name="human"))
-        stage = GpuScene(
-            RenderScene(meshes, instances, deformable=[person]),
-            moving=range(first, first + len(links)),
-            skins={person: (human.full, human.inverse_bind)},
-        )
-        self.renderer = (renderer or GpuRenderer)(stage, width=width, height=height, worlds=worlds, device=device)
+        homes = [scenes] if isinstance(scenes, Scene) else list(scenes)
+        stages = [_stage(home, robot, human) for home in homes]
+        links = [k for k, link in enumerate(robot.links) if link.mesh is not None]
+        self.renderer = (renderer or GpuRenderer)(stages, width=width, height=height, worlds=worlds, device=device)
         lenses = {
             "robot": pinhole(width, height, hfov_deg=hfov_deg or mounted.hfov_deg, name=camera),
             "human": pinhole(width, height, hfov_deg=HEAD_HFOV_DEG, name="human_head", near=HEAD_NEAR_M),
@@ -96,7 +83,7 @@ class TensorCameras:
             return torch.as_tensor(rows, dtype=torch.float32, device=self.renderer.device)
 
         rest = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
-        self._robot = on_device([*(rest[n] for n, _ in links), rest[mounted.link] @ mounted.pose])
+        self._robot = on_device([*(rest[n] for n in links), rest[mounted.link] @ mounted.pose])
         self._cycle = WalkingCycle.of(human, walker)
         joints = self._cycle.joint_matrices()
         eyes = joints[:, human.joint_names.index("head")] @ HEAD_POSE
@@ -104,9 +91,19 @@ class TensorCameras:
         self._frames = fused(self._frames_of) if compile else self._frames_of
 
     def observe(
-        self, robot: RobotTensors, human: HumanTensors, outputs: Sequence[Output] = ("depth",)
+        self,
+        robot: RobotTensors,
+        human: HumanTensors,
+        outputs: Sequence[Output] = ("depth",),
+        *,
+        place: Tensor | None = None,
     ) -> dict[str, Tensor]:
-        """Pictures of all views of all worlds, by output, each [views, W, H, W', ...] on the device; depth in metres."""
+        """Pictures of all views of all worlds, by output, each [views, W, H, W', ...] on the device; depth in metres.
+
+        ``place`` is the number of the home that each world is in, [W]; None leaves it as it was.
+        """
+        if place is not None:  # the kernels read it from the device in every launch, a replayed graph's included
+            self.renderer._held["scene_of_world"].copy_(place)
         parts, joints = self._frames(robot, human)
         self.renderer.update_poses(parts[:, :-1])
         self.renderer.update_joints(joints[:, :-1])
@@ -122,6 +119,26 @@ class TensorCameras:
         parts = _placed(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
         posture = self._cycle.look_up(self._person, HumanTensors(*(t.float() for t in human)))
         return parts, _placed(posture, human.xz.float(), human.heading.float(), self._floor_y)
+
+
+def _stage(scene: Scene, robot: Robot, human: Humanoid) -> GpuScene:
+    """A home with one robot and one person in it. Robot and person have the same slots in all homes."""
+    home = render_scene(scene)
+    links = [link for link in robot.links if link.mesh is not None]
+    meshes = [*home.meshes, *(link.mesh for link in links), human.mesh]
+    first, person = len(home.instances), len(meshes) - 1
+    ids = {i.name: i.semantic_id for i in scene.instances}
+    instances = [replace(i, semantic_id=ids[i.name]) for i in home.instances]
+    instances += [
+        RenderInstance(len(home.meshes) + k, np.eye(4), semantic_id=ROBOT_ID, name=link.name)
+        for k, link in enumerate(links)
+    ]
+    instances.append(RenderInstance(person, np.eye(4), semantic_id=HUMAN_ID, name="human"))
+    return GpuScene(
+        RenderScene(meshes, instances, deformable=[person]),
+        moving=range(first, first + len(links)),
+        skins={person: (human.full, human.inverse_bind)},
+    )
 
 
 def _placed(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float) -> Tensor:

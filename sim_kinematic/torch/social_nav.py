@@ -160,6 +160,10 @@ class SocialNavTensors:
         """Numbers of an action: 2, or 3 where the robot can move sideways."""
         return 3 if self.spec.robot.max_lateral_mps else 2
 
+    def place_of(self, play: Play) -> Tensor:
+        """Number of the scene of the bank that each world is in, [W]."""
+        return self._drawn.place[play.episode]
+
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: Play, action: Tensor) -> Play:
         """All worlds after ``action`` [W, 2 or 3], those that had ended at the start of their next episode."""

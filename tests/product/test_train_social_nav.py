@@ -58,6 +58,7 @@ def test_it_learns_and_its_weights_play(example: dict[str, Any], bank: EpisodeBa
     policy_by_name(f"weights:{tmp_path / 'net.npz'}")
 
 
+@pytest.mark.slow
 def test_who_was_killed_goes_on_to_the_same_weights(
     example: dict[str, Any], bank: EpisodeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

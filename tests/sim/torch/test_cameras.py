@@ -15,6 +15,8 @@ torch = pytest.importorskip("torch")
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.render.gpu import GpuRenderer  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
+from h3data_training.episodes import merged, rules  # noqa: E402
+from h3data_training.worlds import HeldWorlds  # noqa: E402
 from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv  # noqa: E402
 from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
 from sim_kinematic.motion.state import WorldState  # noqa: E402
@@ -25,6 +27,7 @@ from sim_kinematic.torch import cameras as torch_cameras  # noqa: E402
 from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402
 from sim_kinematic.torch.state import HumanTensors, RobotTensors  # noqa: E402
 from tests.sim.steppers import Batch  # noqa: E402
+from tests.training.runs import small  # noqa: E402
 
 SIZE = (64, 48)
 RULES = replace(TRAINING, max_steps=20)
@@ -95,3 +98,28 @@ def test_the_environment_shows_the_arms_picture(device: Any, monkeypatch: pytest
     np.testing.assert_array_equal(seen["humanoid_detector"], want["humanoid_detector"])
     after, *_ = env.step(torch.ones(2, 2))
     assert not np.array_equal(after["arm_depth"].cpu().numpy(), seen["arm_depth"])
+
+
+def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the device as in the training worlds of a machine without one, where the CPU renders."""
+    name, renderer = device
+    monkeypatch.setattr(torch_cameras, "GpuRenderer", renderer)
+    settings = small(scenes="small", picture_size=SIZE, episodes_per_home=1, worlds=4)
+    bank = merged([EpisodeBank.draw(f"small:{k}", 1, seed=k, spec=rules(settings)) for k in (1, 2)])
+    shown: Any = ("arm_depth", "humanoid_detector", "humanoid_gps")
+    env = SocialNavTorchEnv(
+        4, device=name, dtype=torch.float32, observations=shown, spec=rules(settings), episodes=bank, depth_size=SIZE,
+    )  # fmt: skip
+    worlds = HeldWorlds(settings, bank, device="cpu", compile=False, hold=1)
+    seen, info = env.reset(seed=1)
+    want, _ = worlds.reset(seed=1)
+    assert len(set(info["episode"].tolist())) == 2
+    for _ in range(3):
+        off = (seen["arm_depth"].cpu() - want["arm_depth"]).abs() > 2e-4
+        assert off.float().mean() < 2e-3
+        assert torch.equal(seen["humanoid_detector"].cpu(), want["humanoid_detector"])
+        seen, want = env.step(torch.ones(4, 2))[0], worlds.held(torch.ones(4, 2))[0]
+    worlds.play.ended.fill_(True)
+    env.play.ended.fill_(True)  # the next episode of the bank is in the other home
+    seen, want = env.step(torch.ones(4, 2))[0], worlds.held(torch.ones(4, 2))[0]
+    assert ((seen["arm_depth"].cpu() - want["arm_depth"]).abs() > 2e-4).float().mean() < 2e-3

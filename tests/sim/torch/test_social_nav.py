@@ -335,7 +335,7 @@ def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank) -> None:
             SocialNavTorchEnv(**{"num_envs": 1, "device": "cpu", "episodes": bank, "spec": RULES, **options})
 
     wrong("humanoid_gps", observations=("rgb",))
-    wrong("one scene", observations=("arm_depth",))
+    wrong("CUDA", observations=("arm_depth",))
     wrong("paper", reward="habitat")
     wrong("whole number", num_envs=0)
     wrong("Unknown device", device="toaster")

@@ -1,0 +1,160 @@
+"""``h3data train``: learns a policy from pictures, on a GPU or, in small, on a CPU."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from h3data.errors import InputError
+from h3data.progress import is_quiet
+from h3data.terminal import printable
+from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, claim_folder, counted
+
+if TYPE_CHECKING:
+    from h3data_training.run import Result
+    from h3data_training.settings import Settings
+
+
+@dataclass(frozen=True)
+class Train:
+    """Learn a policy from pictures, into a file of weights.
+
+    The file plays wherever a policy has a name. The folder gets policy.npz, curve.csv (the learning curve) and checkpoint.pt,
+    all renewed every half minute. Ctrl-C or SIGTERM finishes the update and saves; --resume goes on.
+
+    Examples:
+        h3data train social_nav --recipe fast --device cuda -o out/nav
+        h3data train social_nav --recipe fast --device cuda --minutes 17 --stop-after 8.7 --resume -o out/nav
+        h3data train social_nav --recipe tiny -o out/tiny
+        h3data train social_nav --observations humanoid_detector,humanoid_gps --device cuda -o out/blind
+        h3data train social_nav --recipe fast --dry-run -o out/nav
+        h3data evaluate social_nav --policies weights:out/nav/policy.npz,heuristic_expert -o out/table
+    """
+
+    task: tyro.conf.Positional[str]
+    """social_nav: find a walking person and follow them, with the paper's reward."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder of the run."""
+    recipe: Literal["fast", "tiny"] = "tiny"
+    """Settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), tiny for a CPU (8 worlds, one home,
+    32 x 24): it shows that all parts run, not a good robot."""
+    seed: int = 0
+    """Everything random follows from it."""
+    minutes: float | None = None
+    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10)."""
+    updates: int | None = None
+    """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
+    stop_after: float | None = None
+    """Save and stop after so many minutes of this call; --resume goes on."""
+    device: str = "cpu"
+    """cpu, cuda or cuda:N."""
+    scenes: str | None = None
+    """Homes to learn in, as of h3data generate (default: h3-homes/train, tiny its first)."""
+    observations: str | None = None
+    """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps); there are
+    also egomotion, humanoid_velocity, way and range_scan."""
+    worlds: int | None = None
+    """Worlds that are stepped at once."""
+    hold: int | None = None
+    """Steps of 1/30 s for which an action is held (default: 3)."""
+    robot: str | None = None
+    """Body of the robot (default: quad_arm)."""
+    walk: Literal["natural", "paper"] | None = None
+    """How people walk, as --human-walk of h3data generate (default: natural)."""
+    resume: bool = False
+    """Go on from the checkpoint in the folder; begins where there is none."""
+    dry_run: DryRunFlag = False
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        if self.task != "social_nav":
+            raise InputError(
+                f"Expected the task social_nav, got {self.task!r}: policies of other tasks cannot be trained yet."
+            )
+        if self.resume and self.force:
+            raise InputError("Expected --resume (go on) or --force (begin anew), got both.")
+        from h3data_training.run import CHECKPOINT, describe, train
+        from h3data_training.settings import recipe
+
+        shown = None if self.observations is None else tuple(self.observations.split(","))
+        settings = recipe(
+            self.recipe, minutes=self.minutes, updates=self.updates, scenes=self.scenes, worlds=self.worlds, hold=self.hold,
+            observations=shown, robot=self.robot, walk=self.walk,
+        )  # fmt: skip
+        if self.stop_after is not None and not self.stop_after > 0:
+            raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
+        if self.dry_run:
+            data = {"settings": settings.as_dict(), "out": str(self.out), **_cost(settings)}
+            return Outcome(text=f"{describe(settings)}\n{_plan(settings)}\nNothing has been done.", data=data)
+        goes_on = self.resume and (self.out / CHECKPOINT).is_file()
+        folder = self.out if goes_on else claim_folder(self.out, force=self.force or self.resume)
+        if self.force and folder.is_dir() and (folder / CHECKPOINT).exists():
+            (folder / CHECKPOINT).unlink()
+        free = shutil.disk_usage(folder).free
+        if free < (needed := _cost(settings)["checkpoint_bytes"] * 2):
+            raise InputError(
+                f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
+            )
+        result = train(
+            folder, settings, seed=self.seed, device=self.device, resume=self.resume, stop_after=self.stop_after,
+            name=self.recipe, say=_say,
+        )  # fmt: skip
+        return Outcome(text=_summary(result), data=_data(result), result=result)
+
+
+def _say(line: str) -> None:
+    if not is_quiet():
+        sys.stderr.write(printable(line) + "\n")
+        sys.stderr.flush()
+
+
+def _cost(settings: Settings) -> dict[str, int]:
+    """Sizes that decide whether a run fits on a machine [bytes]."""
+    s = settings
+    pixels = s.picture_size[0] * s.picture_size[1] * ("arm_depth" in s.observations)
+    return {
+        "decisions_per_update": s.decisions_per_update,
+        "rollout_bytes": s.decisions_per_update * (2 * pixels + 400),
+        "checkpoint_bytes": s.worlds * (4 * pixels + 4 * s.hidden + 400) + (20 << 20),
+    }
+
+
+def _plan(settings: Settings) -> str:
+    cost = _cost(settings)
+    length = counted(settings.updates, "update") if settings.updates else f"{settings.minutes:g} minutes"
+    return (
+        f"{length}; {cost['decisions_per_update']} decisions an update, held for {counted(settings.hold, 'step')}; a rollout "
+        f"takes {cost['rollout_bytes'] / 1e9:.2f} GB of device memory, a checkpoint {cost['checkpoint_bytes'] / 1e6:.0f} MB."
+    )
+
+
+def _data(result: Result) -> dict[str, object]:
+    return {
+        "policy": str(result.folder / "policy.npz"), "done": result.done, "updates": result.updates,
+        "decisions": result.decisions, "seconds": result.seconds, "setup_s": result.setup_s, "last": result.last,
+    }  # fmt: skip
+
+
+def _summary(result: Result) -> str:
+    row = result.last
+    figures = (
+        f"following {row['follows']:.0%} of steps, {row['collided']:.0%} of ended episodes in contact"
+        if row
+        else "no update"
+    )
+    lines = [
+        f"{counted(result.updates, 'update')}, {result.decisions / 1e6:.2f} M decisions in {result.seconds / 60:.1f} minutes "
+        f"(set-up {result.setup_s:.0f} s): {figures}.",
+        f"Policy: {result.folder / 'policy.npz'}",
+    ]
+    if not result.done:
+        lines.append("The run is not over. Hint: the same command with --resume goes on.")
+    else:
+        lines.append(f"Hint: h3data evaluate social_nav --policies weights:{result.folder / 'policy.npz'} -o table/")
+    return "\n".join(lines)

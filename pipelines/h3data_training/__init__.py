@@ -1,0 +1,1 @@
+"""Training of recurrent policies from pictures: batched worlds, networks, PPO, checkpoints (docs/training.md)."""

@@ -1,0 +1,94 @@
+"""Training episodes in many homes, made by several processes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+
+from h3data.errors import InputError
+from h3data.habitat.scene_names import named_scenes
+from h3data.progress import progress
+from h3data_training.settings import Settings
+from sim_kinematic.motion.randomness import episode_seed
+from sim_kinematic.motion.spec import WALKERS, SocialNavSpec
+from sim_kinematic.torch.episodes import EpisodeBank
+
+MOST_WORKERS = 16
+
+
+def rules(settings: Settings) -> SocialNavSpec:
+    """The paper's rules for training, with the person's walk of the settings.
+
+    Raises:
+        InputError: there is no such walk.
+    """
+    if settings.walk not in WALKERS:
+        raise InputError(f"Unknown walk {settings.walk!r}. Expected one of: {', '.join(WALKERS)}.")
+    return SocialNavSpec(spawn_distance_m=3.0, human=WALKERS[settings.walk])
+
+
+def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> EpisodeBank:
+    """The episodes of a run, as many in each home. Call it before CUDA begins: the processes are forked.
+
+    Args:
+        settings: Homes, bodies and rules.
+        seed: Episodes follow from it and from the number of their home.
+        workers: Processes; None is one for each core. 1 makes them here.
+
+    Raises:
+        InputError: there are no such homes.
+        SceneError: a home has no room for an episode.
+    """
+    names = [named.name for named in named_scenes(settings.scenes)]
+    tasks = [(settings, name, episode_seed(seed, k)) for k, name in enumerate(names)]
+    count = min(workers or min(len(os.sched_getaffinity(0)), MOST_WORKERS), len(tasks))
+    banks: list[EpisodeBank] = []
+    with progress(desc="homes", total=len(tasks), unit="home", delay=1.0, leave=False) as done:
+
+        def add(made: Iterable[EpisodeBank]) -> None:
+            for bank in made:
+                banks.append(bank)
+                done.update()
+
+        if count == 1 or len(tasks) <= 2:
+            add(map(_home_bank, tasks))
+            return merged(banks)
+        with ProcessPoolExecutor(count, mp_context=get_context("fork")) as pool:
+            # one process compiles and leaves the code on disk for the others; not this one: threads do not survive a fork
+            add([pool.submit(_home_bank, tasks[0]).result()])
+            add(pool.map(_home_bank, tasks[1:]))
+    return merged(banks)
+
+
+def _home_bank(task: tuple[Settings, str, int]) -> EpisodeBank:
+    settings, name, seed = task
+    bank = EpisodeBank.draw(
+        name, settings.episodes_per_home, seed=seed, spec=rules(settings), robot=settings.robot, human=settings.human
+    )
+    for floor in bank.floors:
+        _ = floor.lattice  # built at first use, and needed on the device
+    return bank
+
+
+def merged(banks: list[EpisodeBank]) -> EpisodeBank:
+    """The episodes of several banks, one after the other."""
+    longest = max(bank.way_points.shape[1] for bank in banks)
+    first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
+
+    def padded(rows: np.ndarray) -> np.ndarray:
+        return np.pad(rows, ((0, 0), (0, longest - rows.shape[1]), *[(0, 0)] * (rows.ndim - 2)), mode="edge")
+
+    headings = [bank.headings for bank in banks if bank.headings is not None]
+    columns = ("robot_xz", "robot_heading", "human_xz", "human_heading", "seeds")
+    return EpisodeBank(
+        floors=tuple(floor for bank in banks for floor in bank.floors),
+        scenes=tuple(scene for bank in banks for scene in bank.scenes),
+        place=np.concatenate([bank.place + n for bank, n in zip(banks, first[:-1], strict=True)]),
+        way_points=np.concatenate([padded(bank.way_points) for bank in banks]),
+        headings=np.concatenate([padded(h) for h in headings]) if len(headings) == len(banks) else None,
+        **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
+    )

@@ -1,0 +1,168 @@
+"""Recurrent proximal policy optimisation (Schulman et al. 2017) on rollouts that stay on the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from h3data_training.networks import ActorCritic, actor_numbers, critic_numbers, picture
+from h3data_training.settings import Settings
+from h3data_training.worlds import COUNTS, HeldWorlds
+
+BEYOND = 1.2
+"""Mean actions beyond this are pulled back: past its limits a command changes nothing, so nothing else would."""
+
+
+@dataclass(eq=False)
+class Memory:
+    """What is carried from one decision to the next, for W worlds."""
+
+    shown: dict[str, Tensor]
+    state: Tensor
+    """Recurrent state, [W, H]."""
+    last: Tensor
+    """Last action, clipped, [W, 2]; 0 where an episode has begun since."""
+    over: Tensor
+    """An episode began in the last decision, bool [W]."""
+
+
+class Schedule(NamedTuple):
+    """What changes over a run."""
+
+    rate: float
+    gamma: float
+    """Discount of one decision."""
+
+
+def schedule(settings: Settings, share: float, update: int) -> Schedule:
+    """At a share of the run, 0..1, before update number ``update``."""
+    s = settings
+    warm = min(1.0, (update + 1) / max(s.warmup_updates, 1))
+    ahead = s.horizon[0] + share * (s.horizon[1] - s.horizon[0])
+    return Schedule(s.rate * (1 - (1 - s.rate_end) * share) * warm, 1 - s.hold / ahead)
+
+
+class Learner:
+    """Actor, critic, optimizer and rollout buffers of one run."""
+
+    def __init__(self, settings: Settings, worlds: HeldWorlds, *, seed: int) -> None:
+        self.settings, self.worlds = settings, worlds
+        device = worlds.device
+        torch.manual_seed(seed)  # initial weights
+        self.dice = torch.Generator(device).manual_seed(seed)
+        self.net = ActorCritic(settings).to(device)
+        fused = True if device.type == "cuda" else None
+        self.optimizer = torch.optim.Adam(self.net.parameters(), settings.rate, eps=1e-5, fused=fused)
+        count = worlds.num_envs
+        self.memory = Memory(
+            shown=worlds.reset(seed=seed)[0],
+            state=torch.zeros(count, settings.hidden, device=device),
+            last=torch.zeros(count, 2, device=device),
+            over=torch.zeros(count, dtype=torch.bool, device=device),
+        )
+        self._kept: dict[str, Tensor] = {}
+
+    def update(self, plan: Schedule) -> dict[str, float]:
+        """One rollout and what is learned from it; returns a row of the learning curve."""
+        self.optimizer.param_groups[0]["lr"] = plan.rate
+        self.worlds.totals.zero_()
+        first = self.memory.state.clone()
+        last = self._collect(plan.gamma)
+        advantages, targets, explained = self._advantages(last, plan.gamma)
+        learned = self._learn(first, advantages, targets)
+        total = dict(zip(COUNTS, self.worlds.totals.tolist(), strict=True))
+        steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
+        return {
+            "reward": total["reward"] / steps, "follows": total["follows"] / steps, "collided": total["collided"] / ended,
+            "met": total["met"] / ended, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
+            "explained": explained, **learned, "std": float(self.net.std().detach().mean()), "rate": plan.rate,
+            "gamma": plan.gamma,
+        }  # fmt: skip
+
+    # --- collecting -------------------------------------------------------------------------------------------------------
+    def _inputs(self, over: Tensor) -> dict[str, Tensor]:
+        shown, s = self.memory.shown, self.settings
+        found = {"numbers": actor_numbers(shown, self.memory.last, s.observations), "told": critic_numbers(shown, over)}
+        return found | ({"pixels": picture(shown["arm_depth"])} if self.net.sees else {})
+
+    @torch.no_grad()
+    def _collect(self, gamma: float) -> dict[str, Tensor]:
+        """Fills the buffers with one rollout; returns the inputs of the decision after it."""
+        s, m, std = self.settings, self.memory, self.net.std()
+        for t in range(s.rollout):
+            x = self._inputs(m.over if t == 0 else self.worlds.play.terminated)
+            mean, state = self.net.step(x.get("pixels"), x["numbers"], m.state)
+            noise = torch.randn(mean.shape, generator=self.dice, device=mean.device)
+            action = mean + std * noise
+            row = x | {
+                "action": action, "mean": mean, "begins": m.over, "far": m.shown["way"][:, 0] > s.near_m,
+                "log_prob": (-0.5 * noise.square() - std.log()).sum(1),
+            }  # fmt: skip
+            m.shown, gain, m.over, timed_out, idle = self.worlds.held(action)
+            # rewards are paid per step and scaled so that values stay near what one step pays, whatever the horizon
+            row |= {"gain": (1 - gamma) / s.hold * gain, "over": m.over, "timed_out": timed_out, "valid": ~idle}
+            for name, value in row.items():
+                if name not in self._kept:
+                    self._kept[name] = torch.empty(s.rollout, *value.shape, dtype=value.dtype, device=value.device)
+                self._kept[name][t].copy_(value)
+            m.state = state * ~m.over[:, None]
+            m.last = action.clamp(-1, 1) * ~m.over[:, None]
+        return self._inputs(self.worlds.play.terminated)
+
+    @torch.no_grad()
+    def _advantages(self, last: dict[str, Tensor], gamma: float) -> tuple[Tensor, Tensor, float]:
+        """Generalised advantage estimates (Schulman et al. 2016), scaled; targets of the critic; how much it explains.
+
+        A truncated episode would have gone on as it was.
+        """
+        kept, s = self._kept, self.settings
+        value = self.net.worth(torch.cat([kept["told"], last["told"][None]])).squeeze(-1)
+        going = (~kept["over"]).float()
+        gain = kept["gain"] + gamma * (value[1:] * going + value[:-1] * kept["timed_out"]) - value[:-1]
+        for t in reversed(range(len(gain) - 1)):
+            gain[t] += gamma * s.gae_lambda * going[t] * gain[t + 1]
+        target, valid, far = gain + value[:-1], kept["valid"].float(), kept["far"].float()
+        scaled = torch.zeros_like(gain)
+        for part in (far * valid, (1 - far) * valid) if s.near_m > 0 else (valid,):
+            count = part.sum().clamp_min(1)
+            middle = (gain * part).sum() / count
+            spread = (((gain - middle).square() * part).sum() / count).sqrt()
+            scaled += part * (gain - middle) / (spread + 1e-4)
+        explained = 1 - (gain * valid).var() / (target * valid).var().clamp_min(1e-8)
+        return scaled, target, float(explained)
+
+    # --- learning ---------------------------------------------------------------------------------------------------------
+    def _learn(self, first: Tensor, advantages: Tensor, targets: Tensor) -> dict[str, float]:
+        s, net, kept = self.settings, self.net, self._kept
+        device, valid = first.device, kept["valid"].float()
+        sums = torch.zeros(4, device=device)
+        for _ in range(s.epochs):
+            order = torch.randperm(s.worlds, generator=self.dice, device=device)
+            for rows in order.split(s.worlds // s.minibatches):
+                x = {n: kept[n][:, rows] for n in ("numbers", "told", "action", "begins", "log_prob", "mean")}
+                pixels = kept["pixels"][:, rows].flatten(0, 1) if net.sees else None
+                features = net.features(pixels, x["numbers"].flatten(0, 1)).view(s.rollout, len(rows), -1)
+                state = net.roll(features, first[rows], x["begins"])
+                mean, std = net.act(torch.cat([state, x["numbers"]], -1)), net.std()
+                log_prob = (-0.5 * ((x["action"] - mean) / std).square() - std.log()).sum(-1)
+                ratio, gain = (log_prob - x["log_prob"]).exp(), advantages[:, rows]
+                clipped = ratio.clamp(1 - s.clip, 1 + s.clip)
+                worth = (torch.minimum(ratio * gain, clipped * gain) * valid[:, rows]).mean()
+                wrong = (net.worth(x["told"]).squeeze(-1) - targets[:, rows]).square().mean()
+                guess = F.smooth_l1_loss(net.auxiliary(state), x["told"][..., :-1], beta=0.5)
+                beyond = (mean.abs() - BEYOND).clamp_min(0).square().mean()
+                loss = wrong - worth - s.entropy * std.log().sum() + s.auxiliary * guess + 0.01 * beyond
+                self.optimizer.zero_grad(set_to_none=True)
+                loss.backward()
+                nn.utils.clip_grad_norm_(net.parameters(), s.gradient_norm)
+                self.optimizer.step()
+                with torch.no_grad():
+                    moved = ((mean - x["mean"]) / std).square().sum(-1).mean() / 2
+                    outside = ((ratio - 1).abs() > s.clip).float().mean()
+                    sums += torch.stack([wrong.detach(), guess.detach(), moved, outside])
+        names = ("value_loss", "auxiliary_loss", "kl", "clipped")
+        return dict(zip(names, (sums / (s.epochs * s.minibatches)).tolist(), strict=True))

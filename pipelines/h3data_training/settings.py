@@ -1,0 +1,118 @@
+"""What a training run does, as one frozen record; recipes are records with names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from h3data.errors import InputError
+from sim_kinematic.policies.pictured import ENCODINGS, PATCH
+
+PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
+"""What the paper's policy sees (appendix, social navigation)."""
+CRITIC = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
+"""What the critic is told in training; the policy file has none of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of one run. Rates and shares are linear in progress, 0 at the start and 1 at the end of the run."""
+
+    scenes: str = "h3-homes/train"
+    episodes_per_home: int = 28
+    observations: tuple[str, ...] = PAPER_OBSERVATIONS
+    picture_size: tuple[int, int] = (64, 48)
+    """Width and height [pixels], multiples of 4."""
+    robot: str = "quad_arm"
+    human: str = "female_0"
+    walk: str = "natural"
+    """How people walk: ``natural`` or ``paper`` (2.5 m/s, turning on the spot)."""
+    worlds: int = 4096
+    rollout: int = 32
+    """Decisions per world between two updates."""
+    hold: int = 3
+    """Steps of 1/30 s for which an action is held: a picture costs more than a step, and credit reaches farther. Holding for 3
+    costs a follower trained for 1 most of its distance keeping at the paper's 2.5 m/s, less at a walking speed."""
+
+    channels: tuple[int, int, int] = (32, 64, 64)
+    features: int = 256
+    """Numbers that are left of a picture."""
+    hidden: int = 256
+    """Size of the recurrent state."""
+
+    epochs: int = 3
+    minibatches: int = 4
+    rate: float = 8e-4
+    rate_end: float = 0.05
+    """Share of the learning rate that is left at the end."""
+    warmup_updates: int = 15
+    entropy: float = 0.002
+    std: float = 0.6
+    """Of the exploration noise at the start,"""
+    least_std: float = 0.1
+    """and at least."""
+    horizon: tuple[float, float] = (150.0, 500.0)
+    """Steps that the value looks ahead, at the start and at the end: finding the person comes before never touching them."""
+    gae_lambda: float = 0.95
+    clip: float = 0.2
+    gradient_norm: float = 1.0
+    auxiliary: float = 0.5
+    """Weight of the head that predicts the critic's inputs from the recurrent state."""
+    near_m: float = 3.0
+    """Advantages are centred and scaled apart for worlds nearer and farther than this: beside the person a step pays 30 times
+    as much as on the way to them. 0 scales all alike."""
+
+    updates: int = 0
+    """Length of the run in updates; 0: ``minutes`` decides."""
+    minutes: float = 8.7
+    """Length of the run, set-up included."""
+
+    def __post_init__(self) -> None:
+        known = ("arm_depth", *ENCODINGS)
+        strangers = [name for name in self.observations if name not in known]
+        if strangers or not self.observations:
+            raise InputError(f"Expected observations among {', '.join(known)}; got {', '.join(strangers) or 'none'}.")
+        whole = ("episodes_per_home", "worlds", "rollout", "hold", "features", "hidden", "epochs", "minibatches")
+        for name in whole:
+            if getattr(self, name) < 1:
+                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
+        if any(side < PATCH or side % PATCH for side in self.picture_size):
+            raise InputError(f"Expected pictures with sides in multiples of {PATCH} pixels, got {self.picture_size}.")
+        if self.worlds % self.minibatches:
+            raise InputError(f"Expected worlds in multiples of minibatches={self.minibatches}, got {self.worlds}.")
+        if self.updates < 0 or not math.isfinite(self.minutes) or self.minutes <= 0:
+            raise InputError(f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.")
+
+    @property
+    def decisions_per_update(self) -> int:
+        return self.worlds * self.rollout
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, as they stand in checkpoints and cards."""
+        return {f.name: _plain(getattr(self, f.name)) for f in fields(self)}
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+RECIPES: dict[str, Settings] = {
+    "fast": Settings(),
+    "tiny": Settings(
+        scenes="h3-homes/train#0", episodes_per_home=8, picture_size=(32, 24), worlds=8, rollout=16, channels=(8, 16, 16),
+        features=32, hidden=32, minibatches=2, epochs=2, warmup_updates=2, minutes=10.0,
+    ),
+}  # fmt: skip
+"""``fast``: one GPU, minutes. ``tiny``: a CPU, to see the whole chain run."""
+
+
+def recipe(name: str, **changes: Any) -> Settings:
+    """A recipe with some settings changed; None changes nothing.
+
+    Raises:
+        InputError: there is no such recipe, or a value is out of range.
+    """
+    if name not in RECIPES:
+        raise InputError(f"Unknown recipe {name!r}. Expected one of: {', '.join(RECIPES)}.")
+    return replace(RECIPES[name], **{k: v for k, v in changes.items() if v is not None})

@@ -1,0 +1,141 @@
+"""Batched worlds for training: an action is held for some steps and a picture taken after the last, all in one CUDA graph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data.bodies import load_humanoid, load_robot
+from h3data.render import Output
+from h3data.scene import Scene
+from h3data_training.episodes import rules
+from h3data_training.settings import CRITIC, Settings
+from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
+from sim_kinematic.torch.episodes import EpisodeBank
+from sim_kinematic.torch.state import HumanTensors, RobotTensors
+
+COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met")
+"""Sums over worlds and steps that `HeldWorlds.totals` keeps."""
+
+
+class CpuCameras:
+    """Stands in for `sim_kinematic.torch.cameras.TensorCameras` without a GPU: the CPU renderer, world by world."""
+
+    def __init__(
+        self, scenes: Sequence[Scene], robot: str, human: str, walker: WalkerSpec, *, floors: Sequence[float],
+        size: tuple[int, int],
+    ) -> None:  # fmt: skip
+        self._scenes, self._floors, self._walker = scenes, floors, walker
+        self._bodies = load_robot(robot), load_humanoid(human)
+        own = self._bodies[0].camera("robot_arm")
+        self.share = size[0] * size[1] / (own.width * own.height)
+        self.renderer = SimpleNamespace(width=size[0], height=size[1])
+        self._size = size
+        self._drawn: dict[int, StateRenderer] = {}
+
+    def observe(
+        self, robot: RobotTensors, human: HumanTensors, outputs: Sequence[Output], *, place: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """As `sim_kinematic.torch.cameras.TensorCameras.observe`."""
+        state = WorldState.zeros(len(robot.heading), joints=[len(self._bodies[0].rest)])
+        robot.put(state.robots[0])
+        human.put(state.people[0])
+        state.robots[0].joints[:] = self._bodies[0].rest
+        sensor = CameraSensor(outputs=tuple(outputs), size=self._size)
+        taken: dict[str, list[np.ndarray]] = {name: [] for name in outputs}
+        homes = np.zeros(state.worlds, int) if place is None else place.numpy()
+        for w, home in enumerate(homes.tolist()):
+            if home not in self._drawn:
+                speed = self._walker.speed_mps
+                self._drawn[home] = StateRenderer(self._scenes[home], self._bodies, speed_mps=speed)
+            self._drawn[home].pose(state.take(np.array([w])), floor_y=self._floors[home])
+            for name, picture in sensor.observe(self._drawn[home]).items():
+                taken[name].append(picture[0])
+        return {name: torch.as_tensor(np.stack(pictures))[None] for name, pictures in taken.items()}
+
+
+class HeldWorlds(SocialNavTorchEnv):
+    """`SocialNavTorchEnv` in which an action moves all worlds ``hold`` steps.
+
+    A world whose episode ends on the way begins the next one at once; what it gains after that is not counted.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        bank: EpisodeBank,
+        *,
+        device: str,
+        compile: bool | None = None,
+        hold: int | None = None,
+    ) -> None:
+        self.hold = hold or settings.hold
+        shown: Any = tuple(dict.fromkeys((*settings.observations, *CRITIC)))
+        super().__init__(
+            settings.worlds, device=device, dtype=torch.float32, observations=shown, spec=rules(settings), episodes=bank,
+            depth_size=settings.picture_size, robot=settings.robot, human=settings.human, compile=compile,
+        )  # fmt: skip
+        worlds, where = self.num_envs, self.device
+        self.gain = torch.zeros(worlds, device=where)
+        self.over, self.timed_out, self.idle = (torch.zeros(worlds, dtype=torch.bool, device=where) for _ in range(3))
+        self.totals = torch.zeros(len(COUNTS), device=where)
+
+    def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> Any:
+        if self.device.type == "cuda":
+            return super()._make_cameras(size, compile=compile, robot=robot, human=human)
+        assert size is not None
+        floors = [floor.floor_y for floor in self.bank.floors]
+        return CpuCameras(self.bank.scenes, robot, human, self.sim.spec.human, floors=floors, size=size)
+
+    def _eager(self) -> None:
+        play = self.play
+        idle, timed_out = play.ended.clone(), play.ended & play.truncated
+        live, inside = ~idle, torch.zeros_like(idle)
+        gain, sums, shown = torch.zeros_like(self.gain), torch.zeros_like(self.totals), {}
+        for k in range(self.hold):
+            followed = play.followed.clone()
+            shown = self._move()
+            gain = gain + torch.where(live, play.reward.float(), 0.0)
+            ends = live & play.ended
+            sums = sums + torch.stack([
+                torch.where(live, play.reward, 0.0).sum(), (live & (play.followed > followed)).sum(),
+                (live & play.terminated).sum(), ends.sum(), live.sum(), (live & play.robot.contact).sum(),
+                (ends & (play.followed > 0)).sum(),
+            ]).float()  # fmt: skip
+            live = live & ~ends
+            if k < self.hold - 1:
+                inside, timed_out = inside | ends, timed_out | (ends & play.truncated)
+        if self._cameras is not None:
+            shown |= self._pictures(self._cameras)
+        self._shown = {name: shown[name] for name in self._names}
+        self.gain.copy_(gain)
+        self.over.copy_(idle | inside)
+        self.timed_out.copy_(timed_out)
+        self.idle.copy_(idle)
+        self.totals.add_(sums)
+
+    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """Moves all worlds by an action [W, 2].
+
+        Returns:
+            Observations; what was gained [W]; whether another episode began in these steps [W]; whether the one before it had
+            had all its steps [W]; whether the action counted for nothing because the episode was over before [W].
+        """
+        with torch.no_grad():
+            self._action.copy_(action)
+            self._advance()
+        return (
+            self._result(self._shown),
+            self.gain.clone(),
+            self.over.clone(),
+            self.timed_out.clone(),
+            self.idle.clone(),
+        )

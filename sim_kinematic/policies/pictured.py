@@ -1,0 +1,257 @@
+"""A recurrent network that sees: pictures and numbers in, a base velocity out, in a file of plain arrays.
+
+``depth -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``. It is evaluated with
+NumPy: worker processes fork, which PyTorch's threads do not survive, and one small picture takes less than a millisecond.
+`h3data_training.networks` is the same in PyTorch; tests/training/test_policy_files.py compares the two.
+
+The file is an npz of float32 arrays and one JSON text. Nothing in it is executed when it is read: no pickle, no code.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError
+from h3data.files import part_file
+
+FILE_FORMAT = "h3data.policy/1"
+PATCH = 4
+"""Squares of 4 x 4 pixels become 16 channels, so that the first convolution works on a twelfth of the positions."""
+STRIDES = (1, 2, 2)
+"""Of the three convolutions, 3 x 3 with a margin of 1."""
+SPEED_MPS = 2.5
+"""Velocities and ranges are divided by this, the robot's speed limit."""
+
+Floats = NDArray[np.floating]
+
+
+def polar(seen: NDArray[np.floating]) -> Floats:
+    """Distance [m] and angle [rad] as numbers that a network reads easily, [6]."""
+    d, a = float(seen[0]), float(seen[1])
+    return np.array([d / 5, np.exp(-d / 2), np.exp(-d), np.cos(a), np.sin(a), a / np.pi], np.float32)
+
+
+def _scaled(seen: NDArray[np.floating]) -> Floats:
+    return np.asarray(seen, np.float32) / np.float32(SPEED_MPS)
+
+
+ENCODINGS = {
+    "humanoid_gps": (polar, 2, 6),
+    "humanoid_detector": (lambda seen: np.asarray(seen, np.float32), 1, 1),
+    "humanoid_velocity": (_scaled, 2, 2),
+    "egomotion": (_scaled, 3, 3),
+    "way": (polar, 2, 6),
+    "range_scan": (_scaled, 12, 12),
+}
+"""Observations that a network may be shown beside ``arm_depth``: their encoding, their length, and the length it gives."""
+
+
+class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The text in a policy file."""
+
+    task: str
+    robot: str
+    """Body that it was trained with."""
+    observations: tuple[str, ...]
+    picture_size: tuple[int, int] | None
+    """Width and height of ``arm_depth`` and of the detector's picture [pixels]."""
+    hold: int
+    """Steps of 1/30 s for which an action is held."""
+    training: dict[str, Any] = {}
+    """How it came about: recipe, seed, steps, hardware, versions."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PicturedNetwork:
+    """The weights of one policy and what they are for."""
+
+    card: PolicyCard
+    arrays: Mapping[str, Floats]
+    """By name as in the file: ``conv_0.weight`` [out, in, 3, 3], ``picture.weight`` [features, flat], ``gru.weight_ih``
+    [3 H, in], ``gru.weight_hh`` [3 H, H], ``act_0.weight``, ``act_1.weight`` [2, n], and a bias for each."""
+    outputs: int = field(default=2, init=False)
+
+    def __post_init__(self) -> None:
+        faults = _faults(self.card, self.arrays)
+        if faults:
+            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.")
+
+    @property
+    def task(self) -> str:
+        return self.card.task
+
+    @property
+    def observations(self) -> tuple[str, ...]:
+        return self.card.observations
+
+    @property
+    def sees(self) -> bool:
+        """Whether it is shown ``arm_depth``."""
+        return "arm_depth" in self.card.observations
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all that decides what it does."""
+        card = self.card
+        found = sha256(repr((card.task, card.observations, card.picture_size, card.hold)).encode())
+        for name, array in sorted(self.arrays.items()):
+            found.update(f"{name}{array.shape}".encode() + array.tobytes())
+        return found.hexdigest()
+
+    def start(self) -> Floats:
+        """The recurrent state at the start of an episode, [H]."""
+        return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
+
+    def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
+        """The action [2] and the next state [H] for observations by name, the last action [2] (0 at the start) and the
+        state [H].
+
+        Raises:
+            InputError: an observation is missing or has another shape.
+        """
+        numbers, a = self._numbers(shown, last), self.arrays
+        x = np.concatenate([self._picture(shown["arm_depth"]), numbers]) if self.sees else numbers
+        given = a["gru.weight_ih"] @ x + a["gru.bias_ih"]
+        kept = a["gru.weight_hh"] @ state + a["gru.bias_hh"]
+        (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(kept, 3)
+        reset, update = _sigmoid(r + kr), _sigmoid(z + kz)
+        state = (1 - update) * np.tanh(n + reset * kn) + update * state
+        hidden = a["act_0.weight"] @ np.concatenate([state, numbers]) + a["act_0.bias"]
+        hidden = np.where(hidden > 0, hidden, np.expm1(np.minimum(hidden, 0)))
+        return (a["act_1.weight"] @ hidden + a["act_1.bias"]).astype(np.float32), state.astype(np.float32)
+
+    def _numbers(self, shown: Mapping[str, NDArray[Any]], last: Floats) -> Floats:
+        parts = []
+        for name in self.observations:
+            if name == "arm_depth":
+                continue
+            encode, length, _ = ENCODINGS[name]
+            if name not in shown or np.shape(shown[name]) != (length,):
+                got = list(np.shape(shown[name])) if name in shown else "none"
+                raise InputError(f"Expected the observation {name} [{length}], got {got}.")
+            parts.append(encode(shown[name]))
+        return np.concatenate([*parts, last]).astype(np.float32)
+
+    def _picture(self, depth: NDArray[Any]) -> Floats:
+        assert self.card.picture_size
+        width, height = self.card.picture_size
+        if depth.shape != (height, width, 1):
+            raise InputError(f"Expected arm_depth [{height}, {width}, 1], got {list(depth.shape)}.")
+        # near things in more detail; float16 as the device keeps pictures of whole rollouts
+        near = np.sqrt(depth[..., 0].astype(np.float32)).astype(np.float16).astype(np.float32)
+        x = near.reshape(height // PATCH, PATCH, width // PATCH, PATCH).transpose(1, 3, 0, 2)
+        x = x.reshape(PATCH * PATCH, height // PATCH, width // PATCH)
+        for k, stride in enumerate(STRIDES):
+            x = _convolved(x, self.arrays[f"conv_{k}.weight"], self.arrays[f"conv_{k}.bias"], stride)
+        return np.maximum(self.arrays["picture.weight"] @ x.ravel() + self.arrays["picture.bias"], 0)
+
+
+def _sigmoid(x: Floats) -> Floats:
+    return 0.5 * (np.tanh(0.5 * x) + 1)
+
+
+def _convolved(x: Floats, weight: Floats, bias: Floats, stride: int) -> Floats:
+    """ReLU of a 3 x 3 convolution of [in, H, W] with a margin of zeros, [out, H', W']."""
+    padded = np.pad(x, ((0, 0), (1, 1), (1, 1)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::stride, ::stride]
+    return np.maximum(np.tensordot(weight, windows, ([1, 2, 3], [0, 3, 4])) + bias[:, None, None], 0)
+
+
+def number_count(observations: tuple[str, ...]) -> int:
+    """Length of the encoded numbers and of the last action."""
+    return sum(ENCODINGS[name][2] for name in observations if name != "arm_depth") + 2
+
+
+def picture_length(size: tuple[int, int]) -> int:
+    """Positions that are left after the convolutions of a picture (width, height) [pixels]."""
+    width, height = (side // PATCH for side in size)
+    for stride in STRIDES:
+        width, height = -(-width // stride), -(-height // stride)
+    return width * height
+
+
+def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
+    """Everything that does not fit together, in words."""
+    strangers = [n for n in card.observations if n != "arm_depth" and n not in ENCODINGS]
+    if strangers:
+        return [f"unknown observations {', '.join(strangers)}, there are arm_depth, {', '.join(ENCODINGS)}"]
+    if not card.observations or len(set(card.observations)) != len(card.observations):
+        return ["expected some observations, each once"]
+    if not 1 <= card.hold <= 30:
+        return [f"actions are held for {card.hold} steps, expected 1 to 30"]
+    sees = "arm_depth" in card.observations
+    size = card.picture_size
+    if (sees or "humanoid_detector" in card.observations) and (
+        size is None or any(side % PATCH or not PATCH <= side <= 1024 for side in size)
+    ):
+        return [f"the picture size is {size}, expected multiples of {PATCH} up to 1024"]
+    shapes: dict[str, tuple[int | None, ...]] = {}
+    features = 0
+    if sees:
+        assert size is not None
+        last = PATCH * PATCH
+        for k in range(len(STRIDES)):
+            out = _rows(arrays, f"conv_{k}.weight")
+            shapes |= {f"conv_{k}.weight": (out, last, 3, 3), f"conv_{k}.bias": (out,)}
+            last = out
+        features = _rows(arrays, "picture.weight")
+        shapes |= {"picture.weight": (features, last * picture_length(size)), "picture.bias": (features,)}
+    numbers, state, wide = (
+        number_count(card.observations),
+        _rows(arrays, "gru.weight_ih") // 3,
+        _rows(arrays, "act_0.weight"),
+    )
+    shapes |= {
+        "gru.weight_ih": (3 * state, features + numbers), "gru.weight_hh": (3 * state, state),
+        "gru.bias_ih": (3 * state,), "gru.bias_hh": (3 * state,),
+        "act_0.weight": (wide, state + numbers), "act_0.bias": (wide,), "act_1.weight": (2, wide), "act_1.bias": (2,),
+    }  # fmt: skip
+    faults = [f"the array {name} is missing" for name in shapes if name not in arrays]
+    faults += [f"unknown array {name}" for name in arrays if name not in shapes]
+    for name, array in arrays.items():
+        if name in shapes and array.shape != shapes[name]:
+            faults.append(f"{name} has the shape {list(array.shape)}, expected {list(shapes[name])}")
+        if array.dtype != np.float32:
+            faults.append(f"{name} is {array.dtype}, expected float32")
+        elif not np.isfinite(array).all():
+            faults.append(f"{name} holds numbers that are not finite")
+    return faults
+
+
+def _rows(arrays: Mapping[str, Floats], name: str) -> int:
+    return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
+
+
+# --- files --------------------------------------------------------------------------------------------------------------
+def save_pictured(network: PicturedNetwork, path: str | Path) -> None:
+    """Write an npz: ``format``, ``card`` (JSON) and the arrays. The file appears whole or not at all."""
+    text = {"format": np.array(FILE_FORMAT), "card": np.array(msgspec.json.encode(network.card).decode())}
+    with part_file(path) as part, part.open("wb") as stream:
+        np.savez(stream, **text, **network.arrays)  # type: ignore[arg-type]
+
+
+def pictured_from(data: Mapping[str, NDArray[Any]], path: str | Path) -> PicturedNetwork:
+    """The policy in the arrays of a file.
+
+    Raises:
+        FormatError: it is damaged, or its parts do not fit together.
+    """
+    try:
+        card = msgspec.json.decode(str(data["card"]), type=PolicyCard)
+        return PicturedNetwork(card=card, arrays={n: a for n, a in data.items() if n not in ("format", "card")})
+    except KeyError as fault:
+        raise FormatError(f"The policy file lacks the array {fault}. File: {path}") from None
+    except (msgspec.MsgspecError, json.JSONDecodeError, UnicodeError) as fault:
+        raise FormatError(f"The card of the policy file is malformed: {fault}. File: {path}") from None
+    except InputError as fault:
+        raise FormatError(f"{fault} File: {path}") from None

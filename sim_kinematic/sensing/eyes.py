@@ -1,0 +1,53 @@
+"""Pictures for a policy that asks for them: the observations of training environments, of one agent in one world."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.scene import Scene
+from sim_kinematic.contact.frames import Body
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.sensing.agent_pictures import AgentPictures
+from sim_kinematic.sensing.camera_sensor import StateRenderer
+from sim_kinematic.sensing.sensor import DEPTH_RANGE_M
+
+
+def see(
+    state: WorldState, scene: Scene, bodies: Sequence[Body], names: Sequence[str], *, agent: int,
+    size: tuple[int, int] | None = None, floor_y: float = 0.0, speed_mps: float | None = None,
+) -> dict[str, NDArray[Any]]:  # fmt: skip
+    """Named pictures of an agent, exact, as `sim_kinematic.sensing.observation_set` shows them.
+
+    Args:
+        state: One world, without movable objects.
+        scene: The home.
+        bodies: Of all agents in the order of the state.
+        names: Some of `sim_kinematic.sensing.agent_pictures.picture_names`.
+        agent: Whose eyes.
+        size: Width and height [pixels]; None is each camera's own.
+        floor_y: Height of the floor [m].
+        speed_mps: At which people walk, which chooses their clips.
+
+    Returns:
+        ``*_depth`` [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, ``*_rgb`` uint8 [H, W, 3], the detector [1].
+    """
+    rendered = _renderer(scene, tuple(bodies), speed_mps, threading.get_ident())
+    rendered.pose(state, floor_y=floor_y)
+    near, far = DEPTH_RANGE_M
+    pictures = AgentPictures(bodies[agent], names, agent=agent, depth_size=size, rgb_size=size).take(rendered)
+    return {
+        name: (p[0].clip(near, far) - near) / np.float32(far - near) if name.endswith("_depth") else p[0]
+        for name, p in pictures.items()
+    }
+
+
+@lru_cache(maxsize=4)  # packing a home costs as much as some hundred pictures
+def _renderer(scene: Scene, bodies: tuple[Body, ...], speed_mps: float | None, thread: int) -> StateRenderer:
+    del thread  # a renderer must not be shared between threads
+    return StateRenderer(scene, bodies, speed_mps=speed_mps)

@@ -1,0 +1,188 @@
+"""Policy files: the same numbers as PyTorch, the same observations as on the device, and files that are no policies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from h3data.errors import FormatError, InputError
+from h3data_pipelines.cli import main
+from h3data_training.episodes import make_bank, rules
+from h3data_training.networks import ActorCritic, actor_numbers, picture
+from h3data_training.worlds import HeldWorlds
+from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies.learned import PicturedNavigation, navigation_of, network_of
+from sim_kinematic.policies.learned_chooser import learned_chooser
+from sim_kinematic.policies.pictured import FILE_FORMAT, PicturedNetwork, PolicyCard, save_pictured
+from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.social_nav import SocialNav
+from sim_kinematic.tasks.sources import EpisodeSource
+from tests.training.runs import SMALL, small
+
+PICTURED = small(picture_size=(32, 24))
+
+
+def untrained(**card: Any) -> PicturedNetwork:
+    """Random weights that drive about."""
+    torch.manual_seed(3)
+    net = ActorCritic(PICTURED)
+    with torch.no_grad():
+        net.act[-1].weight.mul_(60)  # type: ignore[operator]
+    about = {"task": "social_nav", "robot": "quad_arm", "observations": PICTURED.observations, "hold": 3, **card}
+    return PicturedNetwork(card=PolicyCard(**{"picture_size": (32, 24), **about}), arrays=net.arrays())
+
+
+def test_it_gives_what_pytorch_gives() -> None:
+    torch.manual_seed(1)
+    net = ActorCritic(PICTURED)
+    network = replace(untrained(), arrays=net.arrays())
+    rng = np.random.default_rng(0)
+    state, last, kept = torch.zeros(1, 8), torch.zeros(1, 2), network.start()
+    for _ in range(20):
+        shown = {
+            "arm_depth": rng.uniform(0, 1, (24, 32, 1)).astype(np.float32),
+            "humanoid_detector": rng.integers(0, 2, 1).astype(np.float32),
+            "humanoid_gps": np.array([rng.uniform(0, 9), rng.uniform(-3, 3)]),
+        }
+        batch = {n: torch.as_tensor(v, dtype=torch.float32)[None] for n, v in shown.items()}
+        with torch.no_grad():
+            numbers = actor_numbers(batch, last, PICTURED.observations)
+            mean, state = net.step(picture(batch["arm_depth"]), numbers, state)
+        out, kept = network(shown, last[0].numpy(), kept)
+        np.testing.assert_allclose(out, mean[0].numpy(), atol=2e-6)
+        np.testing.assert_allclose(kept, state[0].numpy(), atol=2e-6)
+        last = mean.clamp(-1, 1)
+
+
+def test_rolling_resets_where_episodes_begin() -> None:
+    torch.manual_seed(2)
+    net = ActorCritic(SMALL)
+    steps, batch = 7, 3
+    x = torch.randn(steps, batch, net.gru.input_size)
+    first, begins = torch.randn(batch, 8), torch.rand(steps, batch) < 0.3
+    rolled, state = net.roll(x, first, begins), first
+    for t in range(steps):
+        out, after = net.gru(x[t][None], (state * ~begins[t][:, None])[None])
+        state = after[0]
+        torch.testing.assert_close(rolled[t], out[0])
+
+
+class Watched(PicturedNavigation):
+    """Keeps what it was shown in every step, and what it did."""
+
+    def __init__(self, network: PicturedNetwork) -> None:
+        super().__init__(network)
+        self.rows: list[tuple[dict[str, np.ndarray], tuple[float, float]]] = []
+
+    def act(self, view: Any) -> Any:
+        shown = self.look(view, BaseSpec())
+        velocity = self(view, BaseSpec())
+        self.rows.append((shown, (velocity.forward, velocity.turn)))
+        return velocity
+
+
+def test_device_and_simulator_show_the_same() -> None:
+    settings = replace(PICTURED, worlds=1, minibatches=1, episodes_per_home=1)
+    bank = make_bank(settings, seed=4, workers=1)
+    spec = replace(rules(settings), max_steps=36)
+    task = SocialNav()
+    source = EpisodeSource(task, [bank.scenes[0]], spec=spec)
+    episode = task.sample(bank.scenes[0], bank.floors[0], int(bank.seeds[0]), spec, source.roster)
+    watched = Watched(untrained())
+    run(task.play(episode, task.assign(episode, {"robot": watched}), measure=False))
+    worlds = HeldWorlds(settings, bank, device="cpu", compile=False, hold=1)
+    shown, _ = worlds.reset(seed=0)
+    pixels = 0.0
+    for exact, action in watched.rows:
+        np.testing.assert_allclose(shown["humanoid_gps"][0].numpy(), exact["humanoid_gps"], atol=2e-3)
+        np.testing.assert_array_equal(shown["humanoid_detector"][0].numpy(), exact["humanoid_detector"])
+        pixels += (np.abs(shown["arm_depth"][0].numpy() - exact["arm_depth"]) > 0.01).mean()
+        shown = worlds.held(torch.tensor([action]))[0]
+    actions = {action for _, action in watched.rows}
+    assert len(watched.rows) == 36
+    assert 3 < len(actions) <= 12  # held for three steps each
+    assert pixels / 36 < 0.01
+
+
+# --- playing ------------------------------------------------------------------------------------------------------------
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    save_pictured(untrained(), tmp_path / "policy.npz")
+    return tmp_path / "policy.npz"
+
+
+def test_it_plays_wherever_a_policy_has_a_name(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = "--scenes h3-homes/train#0 --episodes 1 --max-steps 30 --mcap"
+    generate = ["generate", "social_nav", *options.split()]
+    assert main([*generate, "--policy", f"weights:{file}", "-o", str(tmp_path / "ds")]) == 0
+    (episode,) = (tmp_path / "ds").rglob("*.mcap")
+    assert main(["replay", str(episode), "--verify"]) == 0
+    assert main([*generate, "--robot", "lift_arm", "--policy", f"weights:{file}", "-o", str(tmp_path / "x")]) != 0
+    captured = capsys.readouterr()
+    assert "drive the robot quad_arm, the episode has lift_arm" in captured.err + captured.out
+
+
+def test_every_episode_starts_without_memory(file: Path) -> None:
+    network = network_of(f"weights:{file}")
+    assert network_of(f"weights:{file}@{network.digest[:12]}") is not None
+    a, b = navigation_of(network), navigation_of(network)
+    assert a is not b
+
+
+def test_other_tasks_and_robots_are_refused(file: Path) -> None:
+    with pytest.raises(FormatError, match=r"task rearrange, these are for 'social_nav'"):
+        learned_chooser(f"weights:{file}", 2, robot=True)
+    with pytest.raises(FormatError, match=r"task social_nav, these are for 'rearrange'"):
+        navigation_of(untrained(task="rearrange"))
+    with pytest.raises(FormatError, match=r"drive the robot quad_arm, the episode has mobile_arm"):
+        navigation_of(untrained(), robot="mobile_arm")
+
+
+def saved(tmp_path: Path, *, drop: str = "", text: str | None = None, **arrays: Any) -> Path:
+    network = untrained()
+    card = msgspec.json.encode(network.card).decode() if text is None else text
+    rows = {"format": np.array(FILE_FORMAT), "card": np.array(card), **network.arrays, **arrays}
+    np.savez(tmp_path / "p.npz", **{n: a for n, a in rows.items() if n != drop})
+    return tmp_path / "p.npz"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"drop": "card"}, "lacks the array 'card'"),
+        ({"drop": "gru.bias_hh"}, "the array gru.bias_hh is missing"),
+        ({"text": "{"}, "card of the policy file is malformed"),
+        ({"text": '{"task": "social_nav"}'}, "missing required field"),
+        ({"act_1.bias": np.array([np.nan, 0], np.float32)}, "act_1.bias holds numbers that are not finite"),
+        ({"act_1.bias": np.zeros(3, np.float32)}, r"act_1.bias has the shape \[3\], expected \[2\]"),
+        ({"act_1.bias": np.zeros(2)}, "act_1.bias is float64, expected float32"),
+        ({"more": np.zeros(2, np.float32)}, "unknown array more"),
+    ],
+)
+def test_damaged_policies_are_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        network_of(f"weights:{saved(tmp_path, **change)}")
+
+
+def test_other_sizes_and_truncated_files_are_refused(file: Path) -> None:
+    with pytest.raises(InputError, match=r"picture.weight has the shape \[8, 16\], expected"):
+        untrained(picture_size=(64, 48))
+    with pytest.raises(InputError, match="multiples of 4"):
+        untrained(picture_size=(30, 24))
+    with pytest.raises(InputError, match="unknown observations smell"):
+        untrained(observations=("smell",))
+    with pytest.raises(InputError, match="held for 0 steps"):
+        untrained(hold=0)
+    network = untrained()
+    shown = {"arm_depth": np.zeros((12, 16, 1)), "humanoid_detector": np.zeros(1), "humanoid_gps": np.zeros(2)}
+    with pytest.raises(InputError, match=r"Expected arm_depth \[24, 32, 1\]"):
+        network(shown, np.zeros(2, np.float32), network.start())
+    file.write_bytes(file.read_bytes()[:-700])
+    with pytest.raises(FormatError, match="this is none"):
+        network_of(f"weights:{file}")

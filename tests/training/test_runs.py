@@ -1,0 +1,170 @@
+"""Runs: what they leave in their folder, that they resume exactly, and what they refuse."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from h3data.errors import FormatError, InputError
+from h3data_pipelines.cli import main
+from h3data_training import run as runs
+from h3data_training.episodes import make_bank
+from h3data_training.networks import ActorCritic
+from h3data_training.ppo import schedule
+from h3data_training.run import CHECKPOINT, POLICY, curve_of, train
+from h3data_training.settings import RECIPES, recipe
+from sim_kinematic.policies.learned import network_of
+from sim_kinematic.policies.pictured import PicturedNetwork
+from sim_kinematic.torch.episodes import EpisodeBank
+from tests.training.runs import SMALL, small
+
+
+@pytest.fixture(scope="module")
+def bank() -> EpisodeBank:
+    return make_bank(SMALL, seed=0, workers=1)
+
+
+@pytest.fixture(scope="module")
+def whole(bank: EpisodeBank, tmp_path_factory: Any) -> Path:
+    """A run of three updates."""
+    folder = tmp_path_factory.mktemp("whole")
+    said: list[str] = []
+    result = train(folder, SMALL, bank=bank, name="small", say=said.append)
+    assert result.done
+    assert result.updates == 3
+    assert "update 1" in said[-1]
+    assert "decisions/s" in said[-1]
+    return folder
+
+
+def arrays(folder: Path) -> dict[str, np.ndarray]:
+    network = network_of(f"weights:{folder / POLICY}")
+    assert isinstance(network, PicturedNetwork)
+    return dict(network.arrays)
+
+
+def test_a_run_leaves_a_policy_and_its_curve(whole: Path) -> None:
+    curve = curve_of(whole)
+    assert [row["decisions"] for row in curve] == [12, 24, 36]
+    assert all(np.isfinite(list(row.values())).all() for row in curve)
+    network = network_of(f"weights:{whole / POLICY}")
+    assert isinstance(network, PicturedNetwork)
+    card = network.card
+    assert (card.task, card.robot, card.hold, card.picture_size) == ("social_nav", "quad_arm", 3, (16, 12))
+    assert card.training["recipe"] == "small"
+    assert card.training["steps"] == 36 * 3
+    untrained = ActorCritic(SMALL).arrays()
+    assert set(untrained) == set(network.arrays)
+
+
+def test_an_interrupted_run_comes_to_the_same_weights(
+    whole: Path, bank: EpisodeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def stop_in_the_second(*args: Any) -> Any:
+        asked.append(args)
+        if len(asked) == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return schedule(*args)
+
+    monkeypatch.setattr(runs, "schedule", stop_in_the_second)
+    before = signal.getsignal(signal.SIGTERM)
+    first = train(tmp_path, SMALL, bank=bank)
+    assert not first.done
+    assert first.updates == 2
+    assert signal.getsignal(signal.SIGTERM) == before
+    monkeypatch.setattr(runs, "schedule", schedule)
+    assert train(tmp_path, SMALL, bank=bank, resume=True).done
+    for name, array in arrays(whole).items():
+        np.testing.assert_array_equal(arrays(tmp_path)[name], array, err_msg=name)
+    with pytest.raises(InputError, match=r"The run is over: 3 updates"):
+        train(tmp_path, SMALL, bank=bank, resume=True)
+
+
+def test_other_settings_and_damaged_checkpoints_are_refused(whole: Path, bank: EpisodeBank, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"has hidden=8, not 16"):
+        train(whole, small(hidden=16, updates=9), bank=bank, resume=True)
+    with pytest.raises(InputError, match=r"has seed=0, not 1"):
+        train(whole, small(updates=9), bank=bank, resume=True, seed=1)
+    content = (whole / CHECKPOINT).read_bytes()
+    for damaged in (content[: len(content) // 2], b"", b"what"):
+        (tmp_path / CHECKPOINT).write_bytes(damaged)
+        with pytest.raises(FormatError, match=r"this is none, or damaged"):
+            train(tmp_path, SMALL, bank=bank, resume=True)
+
+
+def test_a_full_disk_loses_no_checkpoint(bank: EpisodeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save = torch.save
+
+    def full(kept: Any, path: Any) -> None:
+        if len(kept["curve"]) == 2:
+            raise RuntimeError("PytorchStreamWriter failed writing file: file write failed")
+        save(kept, path)
+
+    monkeypatch.setattr(torch, "save", full)
+    said: list[str] = []
+    assert train(tmp_path, SMALL, bank=bank, checkpoint_s=0.0, say=said.append).done
+    assert sum("could not save" in line for line in said) == 1
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_minutes_end_a_run(bank: EpisodeBank, tmp_path: Path) -> None:
+    settings = small(updates=0, minutes=0.2)  # 12 s, of which 10 are spare
+    result = train(tmp_path, settings, bank=bank)
+    assert result.done
+    assert result.seconds < 20
+    assert curve_of(tmp_path)[-1]["rate"] < SMALL.rate
+
+
+def test_it_trains_without_pictures_too(bank: EpisodeBank, tmp_path: Path) -> None:
+    blind = small(observations=("humanoid_gps", "way", "range_scan"), updates=1)
+    thread = threading.Thread(target=train, args=(tmp_path, blind), kwargs={"bank": bank})
+    thread.start()  # signals are for the main thread alone
+    thread.join()
+    network = network_of(f"weights:{tmp_path / POLICY}")
+    assert isinstance(network, PicturedNetwork)
+    assert network.card.picture_size is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"observations": ("smell",)}, "got smell"),
+        ({"picture_size": (30, 20)}, "multiples of 4"),
+        ({"worlds": 3}, "multiples of minibatches=2"),
+        ({"hold": 0}, "hold of at least 1"),
+        ({"minutes": 0.0}, "minutes > 0"),
+    ],
+)
+def test_settings_out_of_range_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        recipe("tiny", **changes)
+
+
+def test_unknown_recipes_are_refused() -> None:
+    with pytest.raises(InputError, match="Expected one of: fast, tiny"):
+        recipe("huge")
+    assert RECIPES["fast"].decisions_per_update == 4096 * 32
+
+
+def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "social_nav", "--recipe", "fast", "--dry-run", "--json", "-o", str(tmp_path / "n")]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    assert plan["decisions_per_update"] == 131072
+    assert not (tmp_path / "n").exists()
+    assert main(["train", "social_nav", "-o", str(whole)]) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert main(["train", "social_nav", "--stop-after", "0", "-o", str(tmp_path / "n")]) == 2
+    assert "more than 0 minutes" in capsys.readouterr().err
+    if not torch.cuda.is_available():
+        assert main(["train", "social_nav", "--device", "cuda", "-o", str(tmp_path / "n")]) == 2
+        assert "no GPU" in capsys.readouterr().err
