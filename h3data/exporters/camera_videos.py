@@ -16,6 +16,7 @@ from h3data.recording import Recording
 from h3data.recording.parquet.moments import Moments
 from h3data.recording.parquet.videos import EpisodeVideo, VideoFeature
 from h3data.render import VideoWriter
+from h3data.render.light.sources import LightMode
 from h3data.replay import CameraTrack, Replay, camera_track
 
 KEY_FRAMES = 10
@@ -36,6 +37,7 @@ def render_videos(
     threads: int = 1,
     assets: Sequence[Path] = (),
     people: PeopleStyle = "skin",
+    light: LightMode = "flat",
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda frames, total: frames,
 ) -> list[EpisodeVideo]:
     """Renders the first ``steps`` steps (default: all) from each camera into ``folder``, ``<camera>.mp4``.
@@ -50,6 +52,7 @@ def render_videos(
         threads: Threads that render.
         assets: Folders below which recorded asset files are searched.
         people: How people are shown.
+        light: ``flat`` or ``baked`` (`h3data.render.light`).
         progress: Wraps the iterable of frames.
 
     Raises:
@@ -58,7 +61,7 @@ def render_videos(
     count = len(recording) if steps is None else steps
     if not count:
         return []
-    replay = Replay(recording, assets=assets, people=people)
+    replay = Replay(recording, assets=assets, people=people, light=light)
     tracks, fps = camera_tracks(replay, cameras), round(1e9 / max(recording.episode.dt_ns, 1))
     with ExitStack() as stack:
         writers = [

@@ -20,6 +20,7 @@ from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording
+from h3data.render.light.sources import LightMode
 from h3data.replay.link_poses import LinkPoses
 from h3data.replay.records import (
     BodyTrack,
@@ -45,6 +46,8 @@ class PosedRecording:
         people: How people are shown: ``skin``, ``capsules`` (those that decide contact) or ``bones``.
         stepping: Whether legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`), and people
             who were recorded by clips walk with planted feet. Affects appearance only.
+        light: Light in images: ``flat``, the same everywhere, or ``baked``, from windows, sun and lamps
+            (`h3data.render.light`).
     """
 
     def __init__(
@@ -55,6 +58,7 @@ class PosedRecording:
         detail: bool | None = None,
         people: PeopleStyle = "skin",
         stepping: bool = True,
+        light: LightMode = "flat",
     ) -> None:
         self.recording = recording
         if people not in get_args(PeopleStyle):
@@ -64,6 +68,9 @@ class PosedRecording:
         self.detail = detail
         self.people: PeopleStyle = people
         self.stepping = stepping
+        if light not in get_args(LightMode):
+            raise InputError(f"Unknown light {light!r}. Expected one of: {', '.join(get_args(LightMode))}.")
+        self.light: LightMode = light
         self.library = assets if isinstance(assets, AssetLibrary) else AssetLibrary([Path(p) for p in assets or ()])
         if isinstance(source := recording.episode.info.get("source"), Mapping):
             self.library = self.library.with_own_folder(source.get("assets"))
@@ -215,10 +222,15 @@ class PosedRecording:
         return self._links[agent]
 
     def _robot_poses(self, agent: int, robot: Robot) -> tuple[Callable[[NDArray[np.integer]], Array], int, int]:
+        base, joints = self.recording.agent_column(agent, "base_pose"), self.robot_joints(agent, robot)
+        return lambda steps: robot.link_matrices(base[steps], joints[steps]), len(base), len(robot.links)
+
+    def robot_joints(self, agent: int, robot: Robot) -> NDArray[np.floating]:
+        """Joint positions of a robot at all steps as they are shown, shape [T, J]: its legs may trot (``stepping``)."""
         base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
         if self.stepping and legs_are_posed(robot, joints):
-            joints = trot(robot, base, joints, even_strides=not self.plants_feet)
-        return lambda steps: robot.link_matrices(base[steps], joints[steps]), len(base), len(robot.links)
+            return trot(robot, base, joints, even_strides=not self.plants_feet)
+        return joints
 
     def _part_poses(self, agent: int, body: Humanoid) -> tuple[Callable[[NDArray[np.integer]], Array], int, int]:
         if self.people == "skin":

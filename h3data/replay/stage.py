@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid
 from h3data.geometry import Array, pose_to_matrix
-from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene
+from h3data.render import Camera, Light, Output, Renderer, RenderInstance, RenderScene
+from h3data.render.light.bake import lit_scene
+from h3data.render.light.sources import sources_of
 from h3data.replay.posed_recording import PosedRecording
 from h3data.replay.records import BodyTrack, CameraTrack, LinkTrack, PersonTrack
 from h3data.scene import Mesh
@@ -68,9 +70,22 @@ class Stage:
             else:
                 self._rigged.append((index, skin))
         meshes = [skin.mesh for _, skin in deformable] + [p.light.mesh for p in self._people if p.light]
+        self._light: Light | None = None
+        if replay.light == "baked":
+            self._bake()
         self.scene = RenderScene(self._meshes, self._instances, deformable=meshes)
         self._find_movers()
         self._joints = lru_cache(maxsize=64)(self._joints_of_chunk)
+
+    def _bake(self) -> None:
+        """Replaces static meshes by ones that carry the light of the scene."""
+        static = [
+            k for k, track in enumerate(self.replay.tracks) if track is None and not self.replay.drawables[k].moving
+        ]
+        scene = self.replay.scene
+        name = scene.name if scene is not None else "this recording's scene"
+        lit = lit_scene(self._meshes, self._instances, static, sources_of(scene), name=name)
+        self._meshes, self._instances, self._light = lit.meshes, lit.instances, lit.light
 
     def _add(self, index: int, mesh: Mesh, *, shared: bool) -> int:
         """Adds an instance of drawable ``index``; returns the index of its mesh."""
@@ -123,7 +138,7 @@ class Stage:
     # --- images -------------------------------------------------------------------------------------------------------
     def renderer(self) -> Renderer:
         """A renderer for one thread, to be passed to `render`."""
-        return Renderer(self.scene)
+        return Renderer(self.scene, light=self._light)
 
     def render(
         self,

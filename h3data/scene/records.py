@@ -127,7 +127,7 @@ LightFrame = Literal["global", "camera", "object"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightSource:
-    """A lamp or the sun, as in a Habitat lighting config. Kept for export; the renderer does not use it yet."""
+    """A lamp or the sun, as in a Habitat lighting config. Baked light uses those in the global frame."""
 
     name: str
     kind: LightKind

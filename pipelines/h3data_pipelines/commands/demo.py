@@ -15,10 +15,12 @@ import tyro
 from h3data.errors import InputError
 from h3data.progress import progress
 from h3data.recording import Recording
+from h3data.render.light.sources import LightMode
 from h3data.replay import Replay, camera_track
 from h3data_pipelines.command import (
     ForceFlag,
     JsonFlag,
+    LightOption,
     Outcome,
     claim_folder,
     open_episode,
@@ -57,6 +59,7 @@ class Demo:
     """Length of the episode at most, at 30 steps per second."""
     human_speed: float = 1.2
     """Walking speed of the person [m/s]. (The paper's task, and `h3data generate`, use 2.5.)"""
+    light: LightOption = "baked"
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -75,7 +78,7 @@ class Demo:
             for name in FILES:
                 (out / name).unlink(missing_ok=True)
         clock = _Clock()
-        with compiled_aside(["pictures", "people"]):
+        with compiled_aside(["pictures", "people", *(["light"] if self.light == "baked" else [])]):
             with clock.part("simulate"):
                 recording = self._simulate(out / "episode.mcap")
             with clock.part("dataset"), DatasetWriter(out / "dataset") as writer:
@@ -84,7 +87,7 @@ class Demo:
                 table = measure_many([recording])
                 write_text(out / "metrics.json", table.to_json() + "\n")
             with clock.part("render"):
-                videos = _videos(recording, out)
+                videos = _videos(recording, out, self.light)
         with clock.part("rerun"):
             write_rrd(recording, out / "episode.rrd", replay=Replay(recording, detail=False), videos=videos)
         summary: dict[str, Any] = {
@@ -124,9 +127,9 @@ class Demo:
         return open_episode(path)  # from the file: what follows uses nothing but the recording
 
 
-def _videos(recording: Recording, out: Path) -> dict[str, Path]:
+def _videos(recording: Recording, out: Path, light: LightMode) -> dict[str, Path]:
     """The three videos of the demo, by camera name."""
-    replay = Replay(recording)
+    replay = Replay(recording, light=light)
     wanted = {
         "third_person": ("third_person", "rgb"),
         "arm_depth": ("robot_arm", "depth"),

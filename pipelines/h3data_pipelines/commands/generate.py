@@ -25,6 +25,7 @@ from h3data_pipelines.command import (
     DryRunFlag,
     ForceFlag,
     JsonFlag,
+    LightOption,
     MissingFlag,
     Outcome,
     PeopleOption,
@@ -140,6 +141,8 @@ class Generate:
     camera: tuple[str, ...] = ()
     """Camera whose video is added to the dataset (observation.images.<name>), as in rerender; repeatable."""
     people: PeopleOption = "skin"
+    light: LightOption = "flat"
+    """Of the videos. flat is what policies see whose cameras are rendered as they act."""
     workers: int = 1
     """Processes."""
     mcap: bool = False
@@ -241,7 +244,7 @@ class Generate:
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
         with TemporaryDirectory(prefix="h3data-", ignore_cleanup_errors=True) as folder, bar, ExitStack() as stack:
             threads = max(core_count() // self.workers, 1)
-            filming = Filming(self.camera, Path(folder), threads=threads, people=self.people)
+            filming = Filming(self.camera, Path(folder), threads=threads, people=self.people, light=self.light)
             filmed = stack.enter_context(closing(film_jobs(jobs, filming=filming, workers=self.workers)))
             for job, (recording, videos) in zip(jobs, filmed, strict=True):
                 waiting.append((recording, videos))

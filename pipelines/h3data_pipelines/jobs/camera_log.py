@@ -39,6 +39,7 @@ class CameraLog:
         camera = _intrinsics(track)
         things = [version("h3data"), self._recording, str(self._steps), target.output, target.form, json.dumps(camera)]
         things += [] if self._replay.people == "skin" else [self._replay.people]
+        things += [self._replay.light] if target.output == "rgb" and self._replay.light != "flat" else []
         poses = np.ascontiguousarray(track.poses, np.float64).tobytes()
         nears = b"" if track.nears is None else np.ascontiguousarray(track.nears, np.float64).tobytes()
         return hashlib.blake2b("\n".join(things).encode() + poses + nears, digest_size=16).hexdigest()

@@ -1,0 +1,124 @@
+"""Where a scene's light comes from: windows, lamps, and the lights that scene files name."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.scene.records import LightSource, Scene, instance_bounds
+
+log = logging.getLogger(__name__)
+
+LightMode = Literal["baked", "flat"]
+"""``baked``: windows, sun and lamps light the home (`h3data.render.light`). ``flat``: the same light everywhere."""
+
+LAMP_COLOR = (1.0, 0.86, 0.68)
+LAMP_POWER = 3.2
+"""Irradiance [in units of the flat light] at 1 m below a home's lamp."""
+_LAMPS = frozenset({"ceiling_lamp", "floor_lamp", "table_lamp", "lamp"})
+
+
+@dataclass(frozen=True)
+class Window:
+    """A pane through which the sky is seen: an upright rectangle."""
+
+    center: NDArray[np.float64]
+    half_u: NDArray[np.float64]
+    """Horizontal half side, shape [3] [m]."""
+    half_v: NDArray[np.float64]
+    """Vertical half side, shape [3] [m]."""
+    across: NDArray[np.float64]
+    """Unit normal; which side is indoors is found by the bake."""
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A point light."""
+
+    position: NDArray[np.float64]
+    power: NDArray[np.float64]
+    """Linear RGB irradiance at 1 m, shape [3]."""
+
+
+@dataclass(frozen=True)
+class LightSources:
+    """All light of a scene. Names are those of instances."""
+
+    windows: tuple[Window, ...] = ()
+    lamps: tuple[Lamp, ...] = ()
+    suns: tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...] = ()
+    """Further suns, each a direction towards it and a linear RGB irradiance."""
+    glass: frozenset[str] = field(default_factory=frozenset)
+    """Instances that let the sun through and are drawn bright."""
+    glowing: frozenset[str] = field(default_factory=frozenset)
+    """Lamps: they cast no shadow and are drawn bright."""
+
+
+def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
+    """The light sources of a scene: panes of instances of the category ``window``, lamps, and the lights of its file.
+
+    Lights that cannot be used (NaN, negative power) are left out, with a warning that names the light and the ``file``.
+    """
+    if scene is None:
+        return LightSources()
+    windows, lamps, glass, glowing = [], [], set(), set()
+    for instance in scene.static_instances:
+        category = scene.assets[instance.asset].category
+        if category == "window" and len(scene.assets[instance.asset].mesh.vertices):
+            windows.append(_window(instance_bounds(scene, instance)))
+            glass.add(instance.name)
+        elif category in _LAMPS and len(scene.assets[instance.asset].mesh.vertices):
+            low, high = instance_bounds(scene, instance)
+            position = (low + high) / 2
+            position[1] = low[1] - 0.12 if category == "ceiling_lamp" else high[1] - 0.1
+            share = 1.0 if category == "ceiling_lamp" else 0.35
+            lamps.append(Lamp(position, LAMP_POWER * share * np.array(LAMP_COLOR)))
+            glowing.add(instance.name)
+    file_lamps, suns = _named(scene.lights or (), file or scene.name)
+    return LightSources(
+        windows=tuple(windows),
+        lamps=(*lamps, *file_lamps),
+        suns=suns,
+        glass=frozenset(glass),
+        glowing=frozenset(glowing),
+    )
+
+
+def _window(bounds: NDArray[np.float64]) -> Window:
+    size = bounds[1] - bounds[0]
+    across = 0 if size[0] < size[2] else 2
+    along = 2 - across
+    axis, u, v = np.eye(3)[across], np.zeros(3), np.zeros(3)
+    u[along], v[1] = max(size[along] / 2 - 0.09, 0.05), max(size[1] / 2 - 0.05, 0.05)
+    return Window(center=bounds.mean(0), half_u=u, half_v=v, across=axis)
+
+
+def _named(
+    lights: Sequence[LightSource], file: str
+) -> tuple[tuple[Lamp, ...], tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]]:
+    lamps, suns = [], []
+    for light in lights:
+        numbers = np.concatenate([light.vector, light.color, [light.intensity]])
+        fault = ""
+        if not np.isfinite(numbers).all():
+            fault = "has numbers that are not finite"
+        elif light.intensity < 0 or light.color.min() < 0:
+            fault = f"has negative power ({light.intensity:g} x {light.color.tolist()})"
+        elif light.frame != "global":
+            fault = f"moves with the {light.frame}"
+        elif light.kind == "directional" and not np.linalg.norm(light.vector):
+            fault = "has no direction"
+        if fault:
+            log.warning("Light %r %s: the picture is rendered without it. Scene: %s", light.name, fault, file)
+            continue
+        power = light.color * light.intensity
+        if light.kind == "directional":
+            suns.append((-light.vector / np.linalg.norm(light.vector), power))
+        else:  # of a spot, its cone is ignored
+            lamps.append(Lamp(light.vector.astype(np.float64), power))
+    return tuple(lamps), tuple(suns)

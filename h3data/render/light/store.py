@@ -1,0 +1,111 @@
+"""Baked light on disk, by a key of all that it depends on, beside the other caches (`h3data.files.cache_folder`)."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import SceneError
+from h3data.files import cache_folder, part_file
+from h3data.mesh.mesh import Mesh
+from h3data.render.light.sources import LightSources
+from h3data.render.shade.shading import Light
+
+log = logging.getLogger(__name__)
+
+FORMAT = 1
+"""Part of the key: raise it whenever the bake changes."""
+_ARRAYS = ("vertices", "faces", "colors", "normals", "uv", "face_textures")
+
+
+def cached(
+    meshes: Sequence[Mesh],
+    matrices: Sequence[NDArray[np.float64]],
+    names: Sequence[str],
+    sources: LightSources,
+    light: Light,
+    build: Callable[[], list[Mesh] | None],
+) -> list[Mesh] | None:
+    """The baked meshes from the cache, else from ``build``, kept if the cache can be written."""
+    folder = cache_folder("light")
+    if folder is None:
+        return build()
+    path = folder / f"{_key(meshes, matrices, names, sources, light)}.npz"
+    if path.is_file():
+        try:
+            return _load(path, meshes)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, SceneError) as fault:
+            log.warning("Cached light is broken and is computed again (%s): %s", fault, path)
+    baked = build()
+    if baked is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            _save(path, baked)
+        except OSError as fault:
+            log.info("The light is not cached: %s", fault)
+    return baked
+
+
+def _key(
+    meshes: Sequence[Mesh],
+    matrices: Sequence[NDArray[np.float64]],
+    names: Sequence[str],
+    sources: LightSources,
+    light: Light,
+) -> str:
+    digest = hashlib.blake2b(f"{FORMAT} {light!r}".encode(), digest_size=16)
+    hashes: dict[int, bytes] = {}
+    for mesh, matrix, name in zip(meshes, matrices, names, strict=True):
+        if id(mesh) not in hashes:
+            part = hashlib.blake2b(digest_size=16)
+            arrays = (mesh.vertices, mesh.faces, mesh.colors, mesh.normals, mesh.uv, mesh.face_textures)
+            for array in (*arrays, *(t.pixels for t in mesh.textures)):
+                part.update(
+                    b"-" if array is None else f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes()
+                )
+            hashes[id(mesh)] = part.digest()
+        digest.update(hashes[id(mesh)] + matrix.tobytes())
+        digest.update(f"{name in sources.glass} {name in sources.glowing}".encode())
+    for window in sources.windows:
+        for array in (window.center, window.half_u, window.half_v, window.across):
+            digest.update(array.tobytes())
+    for lamp in sources.lamps:
+        digest.update(b"lamp" + lamp.position.tobytes() + lamp.power.tobytes())
+    for direction, power in sources.suns:
+        digest.update(b"sun" + direction.tobytes() + power.tobytes())
+    return digest.hexdigest()
+
+
+def _save(path: Path, meshes: Sequence[Mesh]) -> None:
+    arrays: dict[str, NDArray] = {}
+    for name in _ARRAYS:
+        parts = [getattr(mesh, name) for mesh in meshes]
+        arrays[f"{name}.count"] = np.array([-1 if p is None else len(p) for p in parts])
+        present = [p for p in parts if p is not None]
+        arrays[name] = np.concatenate(present) if present else np.zeros(0)
+    with part_file(path, shared=True) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+
+
+def _load(path: Path, originals: Sequence[Mesh]) -> list[Mesh]:
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        columns: dict[str, list] = {}
+        for name in _ARRAYS:
+            counts, values = file[f"{name}.count"], file[name]
+            if len(counts) != len(originals):
+                raise ValueError(f"{len(counts)} meshes, expected {len(originals)}")
+            ends = np.cumsum(np.maximum(counts, 0))
+            columns[name] = [
+                None if n < 0 else values[end - n : end] for n, end in zip(counts.tolist(), ends.tolist(), strict=True)
+            ]
+    rows = zip(*columns.values(), strict=True)
+    return [
+        Mesh(**dict(zip(columns, row, strict=True)), textures=mesh.textures)
+        for row, mesh in zip(rows, originals, strict=True)
+    ]

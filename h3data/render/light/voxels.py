@@ -1,0 +1,159 @@
+"""The static surfaces of a scene as voxels with their distance to the nearest surface, for fast rays.
+
+All positions are in voxels: world = origin + cell * position. A ray takes a step as long as the distance in the voxel
+where it is, so that it crosses a room in about ten steps.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.kernels import kernel, kernel_part
+
+CELL_M = 0.05
+MAX_VOXELS = 12_000_000
+"""Larger scenes get larger voxels."""
+MARGIN_M = 0.5
+PROBE_VOXELS = 5
+"""Voxels along the side of a block; each block has one probe and one mean colour per axis."""
+GLASS = 255
+"""Marks voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
+_FARTHEST = 100
+
+
+class Voxels(NamedTuple):
+    """Voxels of a scene."""
+
+    distance: NDArray[np.uint8]
+    """Chebyshev distance to the nearest surface, 0 = surface, or `GLASS`, shape [X, Y, Z]."""
+    albedo: NDArray[np.float32]
+    """Mean linear colour of the surfaces in a block that face along x, y and z, shape [X', Y', Z', 3, 3]."""
+    origin: NDArray[np.float64]
+    cell_m: float
+
+
+def voxelise(triangles: NDArray[np.float64], colors: NDArray[np.float32], glass: NDArray[np.bool_]) -> Voxels:
+    """Voxels of triangles [F, 3, 3] [m] with linear colours [F, 3]; ``glass`` [F] are window panes."""
+    low, high = triangles.min((0, 1)) - MARGIN_M, triangles.max((0, 1)) + MARGIN_M
+    cell = max(CELL_M, float(np.prod(high - low) / MAX_VOXELS) ** (1 / 3))
+    low -= 0.37 * cell  # walls and floors lie on round numbers: rather within a voxel than on the border of two
+    blocks = np.ceil((high - low) / (cell * PROBE_VOXELS)).astype(int) + 1
+    distance = np.full(blocks * PROBE_VOXELS, _FARTHEST, np.uint8)
+    sums = np.zeros((*blocks, 3, 4), np.float32)
+    _mark(((triangles - low) / cell).astype(np.float32), colors, glass, distance, sums)
+    panes = distance == GLASS
+    distance[panes] = 0
+    _spread(distance)
+    distance[panes] = GLASS
+    total = sums.sum(3, keepdims=True)
+    sums = np.where(sums[..., 3:] > 0, sums, total)
+    albedo = np.where(sums[..., 3:] > 0, sums[..., :3] / np.maximum(sums[..., 3:], 1e-9), np.float32(0.5))
+    return Voxels(distance, np.minimum(albedo, 0.9).astype(np.float32), low, cell)
+
+
+@kernel(error_model="numpy", boundscheck=False)
+def _mark(triangles, colors, glass, distance, sums):
+    """Marks all voxels that triangles touch, by points at most 0.45 voxels apart, and sums up colours."""
+    for f in range(len(triangles)):
+        longest, first = 0.0, 0
+        for k in range(3):
+            m = (k + 1) % 3
+            length = 0.0
+            for a in range(3):
+                length += (triangles[f, m, a] - triangles[f, k, a]) ** 2
+            if length > longest:
+                longest, first = length, k
+        base = np.sqrt(longest)
+        i, j, k = first, (first + 1) % 3, (first + 2) % 3
+        ax, ay, az = triangles[f, i, 0], triangles[f, i, 1], triangles[f, i, 2]
+        bx, by, bz = triangles[f, j, 0] - ax, triangles[f, j, 1] - ay, triangles[f, j, 2] - az
+        cx, cy, cz = triangles[f, k, 0] - ax, triangles[f, k, 1] - ay, triangles[f, k, 2] - az
+        nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        axis = 0
+        if abs(ny) > abs(nx):
+            axis = 1
+        if abs(nz) > max(abs(nx), abs(ny)):
+            axis = 2
+        height = np.sqrt(nx * nx + ny * ny + nz * nz) / max(base, 1e-9)
+        rows = int(height / 0.45) + 1
+        for r in range(rows + 1):
+            t = r / rows
+            points = int(base * (1 - t) / 0.45) + 1
+            for p in range(points + 1):
+                s = (1 - t) * p / points
+                x, y, z = int(ax + bx * s + cx * t), int(ay + by * s + cy * t), int(az + bz * s + cz * t)
+                if glass[f]:
+                    if distance[x, y, z] != 0:
+                        distance[x, y, z] = GLASS
+                    continue
+                distance[x, y, z] = 0
+                u, v, w = x // PROBE_VOXELS, y // PROBE_VOXELS, z // PROBE_VOXELS
+                for a in range(3):
+                    sums[u, v, w, axis, a] += colors[f, a]
+                sums[u, v, w, axis, 3] += np.float32(1.0)
+
+
+@kernel(error_model="numpy", boundscheck=False)
+def _spread(distance):
+    """Chebyshev distances from the zeros, in place, by two sweeps over half of the 26 neighbours each; 1 at the border."""
+    nx, ny, nz = distance.shape
+    for x in range(nx):
+        for y in range(ny):
+            for z in range(nz):
+                if x == 0 or y == 0 or z == 0 or x == nx - 1 or y == ny - 1 or z == nz - 1:
+                    distance[x, y, z] = min(distance[x, y, z], 1)
+    for sweep in range(2):
+        sign = 1 if sweep == 0 else -1
+        for i in range(1, nx - 1):
+            x = i if sweep == 0 else nx - 1 - i
+            for j in range(1, ny - 1):
+                y = j if sweep == 0 else ny - 1 - j
+                for k in range(1, nz - 1):
+                    z = k if sweep == 0 else nz - 1 - k
+                    if distance[x, y, z] < 2:
+                        continue
+                    best = distance[x, y, z - sign]
+                    for w in range(z - 1, z + 2):
+                        best = min(best, distance[x - sign, y - 1, w], distance[x - sign, y, w])
+                        best = min(best, distance[x - sign, y + 1, w], distance[x, y - sign, w])
+                    distance[x, y, z] = min(distance[x, y, z], best + 1)
+
+
+@kernel_part()
+def march(distance, x, y, z, dx, dy, dz, length, through_glass):
+    """Follows a ray for ``length`` times its direction, whose largest component is 1.
+
+    Returns what ended it (0 = escaped or at its end, 1 = surface, 2 = pane), the last free voxel and the one that was hit.
+    """
+    nx, ny, nz = distance.shape
+    t = np.float32(0.0)
+    pi, pj, pk = int(x), int(y), int(z)
+    while t < length:
+        px, py, pz = x + t * dx, y + t * dy, z + t * dz
+        if px < 0 or py < 0 or pz < 0 or px >= nx or py >= ny or pz >= nz:
+            return 0, pi, pj, pk, pi, pj, pk
+        i, j, k = int(px), int(py), int(pz)
+        d = distance[i, j, k]
+        if d == 0:
+            return 1, pi, pj, pk, i, j, k
+        if d == GLASS:
+            if not through_glass:
+                return 2, pi, pj, pk, i, j, k
+            d = np.uint8(1)
+        pi, pj, pk = i, j, k
+        t += np.float32(max(d - 1.0, 0.5))
+    return 0, pi, pj, pk, pi, pj, pk
+
+
+@kernel_part()
+def sees(distance, x, y, z, tx, ty, tz):
+    """Whether nothing lies between two points."""
+    dx, dy, dz = tx - x, ty - y, tz - z
+    length = max(abs(dx), abs(dy), abs(dz))
+    if length < 1e-6:
+        return True
+    kind, _, _, _, _, _, _ = march(distance, x, y, z, dx / length, dy / length, dz / length, length, False)
+    return kind == 0

@@ -1,0 +1,188 @@
+"""Baked light: where it falls, what it leaves alone, its cache, and scenes that it cannot light."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from h3data.geometry import IDENTITY_POSE
+from h3data.mesh.mesh import Mesh
+from h3data.mesh.primitives import box_mesh
+from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
+from h3data.render.light.bake import LitScene, lit_scene
+from h3data.render.light.sources import Lamp, LightSources, sources_of
+from h3data.scene import Asset, HomeSpec, Instance, LightSource, Scene, build_home
+
+
+@pytest.fixture(autouse=True)
+def _no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("H3DATA_CACHE", "off")
+
+
+def _quad(*corners: tuple[float, float, float]) -> Mesh:
+    return Mesh(
+        vertices=np.array(corners, np.float32),
+        faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        colors=np.full((4, 3), 180, np.uint8),
+    )
+
+
+def _two_rooms() -> tuple[list[Mesh], list[RenderInstance]]:
+    """A closed box, 6 x 2.5 x 3 m, cut in two by a wall at x = 3."""
+    boxes = {
+        "floor": ((-0.1, -0.1, -0.1), (6.1, 0.0, 3.1)),
+        "ceiling": ((-0.1, 2.5, -0.1), (6.1, 2.6, 3.1)),
+        "left": ((-0.1, 0.0, 0.0), (0.0, 2.5, 3.0)),
+        "right": ((6.0, 0.0, 0.0), (6.1, 2.5, 3.0)),
+        "back": ((-0.1, 0.0, -0.1), (6.1, 2.5, 0.0)),
+        "front": ((-0.1, 0.0, 3.0), (6.1, 2.5, 3.1)),
+        "between": ((2.94, 0.0, 0.0), (3.06, 2.5, 3.0)),
+    }
+    meshes, instances = [], []
+    for name, (low, high) in boxes.items():
+        size, center = np.subtract(high, low), np.add(low, high) / 2
+        matrix = np.eye(4)
+        matrix[:3, 3] = center
+        instances.append(RenderInstance(mesh=len(meshes), matrix=matrix, name=name))
+        meshes.append(box_mesh(size / 2))
+    return meshes, instances
+
+
+def _lit(sources: LightSources) -> LitScene:
+    meshes, instances = _two_rooms()
+    return lit_scene(meshes, instances, range(len(instances)), sources)
+
+
+def _brightness(lit: LitScene, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vertex colours of the floor nearest to points [N, 2] (x, z), shape [N]."""
+    instance = next(i for i in lit.instances if i.name == "floor")
+    mesh = lit.meshes[instance.mesh]
+    assert mesh.normals is not None
+    top = mesh.normals[:, 1] > 0.9
+    place = mesh.vertices[top][:, [0, 2]] + np.asarray(instance.matrix)[[0, 2], 3]
+    nearest = np.linalg.norm(place[None] - points[:, None], axis=2).argmin(1)
+    return mesh.colors[top].mean(1)[nearest]
+
+
+LAMP = LightSources(lamps=(Lamp(np.array([1.5, 2.2, 1.5]), np.full(3, 4.0)),))
+
+
+def test_a_lamp_lights_its_room_and_not_the_one_behind_the_wall() -> None:
+    lit = _lit(LAMP)
+    assert lit.baked
+    under, beside, behind, wall_base = _brightness(lit, np.array([[1.5, 1.5], [0.3, 0.3], [4.5, 1.5], [3.2, 1.5]]))
+    assert under > beside > 1.5 * behind
+    assert wall_base < 1.2 * behind  # no light leaks under the wall
+
+
+def test_moving_things_keep_the_flat_light() -> None:
+    meshes, instances = _two_rooms()
+    thing = RenderInstance(
+        mesh=len(meshes), matrix=np.eye(4) + np.pad([[4.5], [1.0], [1.5]], ((0, 1), (3, 0))), name="cup"
+    )
+    meshes, instances = [*meshes, box_mesh((0.2, 0.2, 0.2))], [*instances, thing]
+    lit = lit_scene(meshes, instances, range(7), LAMP)
+    camera = pinhole(64, 64, hfov_deg=20, pose=look_at(np.array([4.5, 1.2, 2.9]), np.array([4.5, 1.0, 1.5])))
+    plain = Renderer(RenderScene(meshes, instances)).render(camera, outputs=("rgb",))["rgb"][32, 32]
+    baked = Renderer(RenderScene(lit.meshes, lit.instances), light=lit.light).render(camera, outputs=("rgb",))
+    assert np.abs(plain.astype(int) - baked["rgb"][32, 32]).max() <= 3
+
+
+def test_surfaces_ids_and_depth_stay() -> None:
+    meshes, instances = _two_rooms()
+    lit = lit_scene(meshes, instances, range(7), LAMP)
+    camera = pinhole(160, 120, hfov_deg=80, pose=look_at(np.array([0.5, 1.6, 0.5]), np.array([2.5, 0.8, 2.5])))
+    outputs = ("depth", "instance", "normal")
+    before = Renderer(RenderScene(meshes, instances)).render(camera, outputs=outputs)
+    after = Renderer(RenderScene(lit.meshes, lit.instances)).render(camera, outputs=outputs)
+    np.testing.assert_allclose(after["depth"], before["depth"], atol=1e-4)
+    assert (after["instance"] == before["instance"]).mean() > 0.999
+    assert (np.abs(after["normal"] - before["normal"]).max(-1) < 1e-4).mean() > 0.999
+
+
+def test_without_light_a_scene_is_flat_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    meshes, instances = _two_rooms()
+    with caplog.at_level(logging.WARNING):
+        lit = lit_scene(meshes, instances, range(7), LightSources(), name="the cellar")
+    assert not lit.baked
+    assert lit.meshes == meshes
+    (message,) = [r.message for r in caplog.records]
+    assert "No light reaches the cellar" in message
+    assert "flat" in message
+
+
+def test_one_open_mesh_is_lit_from_outdoors() -> None:
+    stage = _quad((0, 0, 0), (0, 0, 4), (4, 0, 4), (4, 0, 0))
+    for faces in (stage.faces, stage.faces[:, ::-1].copy()):
+        mesh = replace(stage, faces=faces)
+        lit = lit_scene([mesh], [RenderInstance(mesh=0, matrix=np.eye(4))], [0], LightSources())
+        assert lit.baked
+        camera = pinhole(32, 32, hfov_deg=40, pose=look_at(np.array([2.0, 3.0, 2.1]), np.array([2.0, 0.0, 2.0])))
+        picture = Renderer(RenderScene(lit.meshes, lit.instances), light=lit.light).render(camera, outputs=("rgb",))
+        assert picture["rgb"][8:24, 8:24].min() > 60
+
+
+@pytest.mark.parametrize(
+    ("light", "fault"),
+    [
+        ({"intensity": float("nan")}, "not finite"),
+        ({"intensity": -2.0}, "negative power"),
+        ({"color": np.array([1.0, -1.0, 1.0])}, "negative power"),
+        ({"frame": "camera"}, "moves with the camera"),
+    ],
+)
+def test_a_light_that_cannot_be_used_is_named_and_left_out(
+    light: dict, fault: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    bad = replace(
+        LightSource(name="bulb 7", kind="point", vector=np.zeros(3), color=np.ones(3), intensity=1.0), **light
+    )
+    good = LightSource(name="good", kind="point", vector=np.array([1.0, 2.0, 1.0]), color=np.ones(3), intensity=3.0)
+    box = Asset(name="box", mesh=box_mesh((1, 1, 1)))
+    scene = Scene(
+        name="s",
+        assets={"box": box},
+        instances=(Instance(name="b", asset="box", pose=IDENTITY_POSE),),
+        lights=(bad, good),
+    )
+    with caplog.at_level(logging.WARNING):
+        sources = sources_of(scene, file="home.scene_instance.json")
+    assert len(sources.lamps) == 1
+    (message,) = [r.message for r in caplog.records]
+    assert "'bulb 7'" in message
+    assert fault in message
+    assert "home.scene_instance.json" in message
+
+
+def test_a_home_is_lit_through_its_windows_within_the_limits() -> None:
+    home = build_home(HomeSpec(preset="small", seed=7))
+    sources = sources_of(home)
+    assert len(sources.windows) == 6
+    assert sources.glass
+    assert sources.glowing
+
+
+def test_the_light_is_cached_and_a_broken_file_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("H3DATA_CACHE", str(tmp_path))
+    first = _lit(LAMP)
+    (file,) = (tmp_path / "light").iterdir()
+    written = file.read_bytes()
+    monkeypatch.setattr("h3data.render.light.bake.bake", lambda *_: pytest.fail("computed again"))
+    again = _lit(LAMP)
+    for one, other in zip(first.meshes, again.meshes, strict=True):
+        np.testing.assert_array_equal(one.colors, other.colors)
+        np.testing.assert_array_equal(one.faces, other.faces)
+    monkeypatch.undo()
+    monkeypatch.setenv("H3DATA_CACHE", str(tmp_path))
+    file.write_bytes(written[:1000])
+    with caplog.at_level(logging.WARNING):
+        _lit(LAMP)
+    assert "broken" in caplog.text
+    assert file.read_bytes() == written
