@@ -3,6 +3,7 @@
 Clients without a browser play in this process; the server's CPU is that of its own processes (/proc/PID/stat), so the clients
 do not count. On a machine that others use, CPU and bytes hold, and times are upper bounds. ``sessions_N``: N sessions at once
 on two workers, of a person who walks, takes and drops beside ``complement`` in rearrangement, or walks in social navigation.
+States a second are those of the time that is played: between two episodes there are none (``next_episode``).
 Figures without a number are those of 20 sessions (CPU) and of 1 (times). Prediction and first frame are measured in Chromium.
 """
 
@@ -33,6 +34,7 @@ from h3data.recording import read_mcap
 from h3data.recording.live_input import slipped_steps
 from h3data_viewers.hitl.bots.client import BUSY, Client
 from h3data_viewers.hitl.front import SEATS_PER_ADDRESS
+from h3data_viewers.hitl.messages import PERIOD_S
 
 Emit = Callable[[str, float, str], None]
 WEB = Path(importlib.util.find_spec("h3data_viewers.hitl").submodule_search_locations[0]) / "web"  # type: ignore[union-attr, index]
@@ -136,9 +138,11 @@ async def play(client: Client, k: int, end: float) -> None:
     while time.monotonic() < end:
         with contextlib.suppress(ConnectionError, ClientError):
             await _episode(client, chance, end)
-        if client.heard("over") and time.monotonic() < end and await client.sit() == 200:
+        ended = time.monotonic()
+        if client.heard("over") and ended < end and await client.sit() == 200:
             await client.connect()
             await client.until(lambda: client.step, 60)
+            client.waited_s.append(time.monotonic() - ended)
         elif client.close_code is not None:
             return
 
@@ -193,12 +197,15 @@ async def _sessions(emit: Emit, running: Server, app: str, count: int) -> None:
         for client in clients:
             client.times.clear()
             client.delays.clear()
+            client.waited_s.clear()
+            client.played_s = 0.0
         bytes_before = sum(c.bytes for c in clients)
         cpu, begun = running.cpu_s(), time.monotonic()
         await asyncio.sleep(MEASURED_S)
         wall = time.monotonic() - begun
         worker, front = (100 * (b - a) / wall / len(clients) for a, b in zip(cpu, running.cpu_s(), strict=True))
-        rates = [len(c.times) / wall for c in clients]
+        rates = [len(c.times) / max(c.played_s, PERIOD_S) for c in clients]
+        waits = [seconds for c in clients for seconds in c.waited_s]
         delays = 1e3 * np.concatenate([c.delays for c in clients])
         down = (sum(c.bytes for c in clients) - bytes_before) / wall / len(clients)
         states = sum(len(c.times) for c in clients)
@@ -207,6 +214,8 @@ async def _sessions(emit: Emit, running: Server, app: str, count: int) -> None:
     emit(f"{name}.states_per_s_worst", min(rates), "1/s")
     emit(f"{name}.session_cpu_share", worker + front, "%")
     emit(f"{name}.front_cpu_share", front, "%")
+    if waits:
+        emit(f"{name}.next_episode_p95_s", float(np.percentile(waits, 95)), "s")
     emit(f"{name}.input_to_state_p50_ms", float(np.percentile(delays, 50)), "ms")
     emit(f"{name}.input_to_state_p95_ms", float(np.percentile(delays, 95)), "ms")
     emit(f"{name}.down_bytes_per_s", down, "B/s")
@@ -272,10 +281,9 @@ async def _siege(emit: Emit, running: Server) -> None:
         await asyncio.sleep(1.0)
         for client in players:
             client.times.clear()
-        begun = time.monotonic()
+            client.played_s = 0.0
         await asyncio.sleep(SIEGE_S - 1.0)
-        wall = time.monotonic() - begun
-        rates = [len(c.times) / wall for c in players]
+        rates = [len(c.times) / max(c.played_s, PERIOD_S) for c in players]
         lost = sum(c.close_code is not None for c in players)
         await asyncio.gather(*playing)
         answers = json.loads((await asyncio.to_thread(crowd.communicate))[0])

@@ -275,11 +275,13 @@ def _posed(rec: Recording, assets: AssetLibrary) -> Iterator[Finding]:
     if replay.scene is not None and len(replay.scene.instances):
         yield from _in_walls(rec, replay)
     roots = [rec.agent_column(i, "base_pose")[:, :3].astype(np.float64) for i in range(len(rec.agents))]
+    # whoever plays live may walk into others, which is measured as contact; a simulated agent must not
+    finding = _warning if "hitl" in rec.episode.info else _error
     for i, j in itertools.combinations(range(len(roots)), 2):
         distance = np.linalg.norm(roots[i] - roots[j], axis=1)
         if (distance < APART_M).any():
             text = f"their roots are {distance[np.argmax(distance < APART_M)]:.2f} m apart"
-            yield _error("penetration", f"{rec.agents[i].name}, {rec.agents[j].name}", text, at=distance < APART_M)
+            yield finding("penetration", f"{rec.agents[i].name}, {rec.agents[j].name}", text, at=distance < APART_M)
     for i, agent in enumerate(rec.agents):
         if agent.model and isinstance(replay.model(i), Humanoid):
             yield from _feet(replay, i)

@@ -149,6 +149,8 @@ def test_walls_and_each_other_are_not_entered(episode: Recording) -> None:
     assert (found.subject, found.step, found.count) == ("robot", 100, 20)
     together = hashed(episode, **{"agent_0.base_pose": episode.columns["agent_1.base_pose"]})
     assert only(together, "penetration", "error").subject == "robot, human"
+    played = replace(together, episode=replace(together.episode, info={**together.episode.info, "hitl": {}}))
+    assert only(played, "penetration", "warning").subject == "robot, human", "people may walk into robots"
 
 
 def test_feet_that_slide_and_sink_are_told(episode: Recording) -> None:

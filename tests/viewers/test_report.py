@@ -486,3 +486,22 @@ def test_the_command(runs: dict[str, Path], tmp_path: Path, capsys: pytest.Captu
     assert main([*words, "--pictures", "0", "--force"]) == 0
     assert main(["report", str(runs["stand_still"]), "-o", str(out), "--latex", str(out), "--force"]) == 2
     assert main(["report", str(runs["stand_still"]), "-o", str(tmp_path / "x.html"), "--pictures", "-1"]) == 2
+
+
+def test_replays_of_the_episodes_shown_lie_beside_the_report(
+    runs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "my report.html"
+    words = ["report", str(runs["stand_still"]), "-o", str(out), "--pictures", "2", "--replays", "--json"]
+    assert main(words) == 0
+    said = json.loads(capsys.readouterr().out)
+    names = [Path(path).name for path in said["replays"]]
+    assert names == ["social_nav_1_worst.html", "social_nav_2_best.html"]
+    links = re.findall(r'<a href="([^"]+)">Play this episode</a>', out.read_text(encoding="utf-8"))
+    assert links == [f"my%20report_replays/{name}" for name in names]
+    assert all((tmp_path / "my report_replays" / name).read_bytes().startswith(b"<!doctype html>") for name in names)
+    out.unlink()
+    assert main(words) == 2, "the replays are there"
+    assert "my report_replays" in capsys.readouterr().err
+    assert main([*words, "--force"]) == 0
+    assert main([*words, "--force", "--pictures", "0"]) == 2

@@ -1,5 +1,5 @@
-"""Viewers of recordings: Rerun files (`rerun`) and the HTML report (`html_report`); and worlds that people play in live in a
-browser (`hitl`).
+"""Viewers of recordings: Rerun files (`rerun`), HTML replays (`html_replay`) and the HTML report (`html_report`); and worlds
+that people play in live in a browser (`hitl`).
 
 Everything is imported at first use: the server of `hitl` must stay small.
 """
@@ -10,6 +10,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from h3data_viewers.html_replay.html_file import write_html
     from h3data_viewers.rerun.cameras import CameraFeed, rendered_feed
     from h3data_viewers.rerun.rrd_file import ShownRecording, write_comparison_rrd, write_rrd
 
@@ -18,10 +19,11 @@ _HOMES = {
     "ShownRecording": "rerun.rrd_file",
     "rendered_feed": "rerun.cameras",
     "write_comparison_rrd": "rerun.rrd_file",
+    "write_html": "html_replay.html_file",
     "write_rrd": "rerun.rrd_file",
 }
 
-__all__ = ["CameraFeed", "ShownRecording", "rendered_feed", "write_comparison_rrd", "write_rrd"]
+__all__ = ["CameraFeed", "ShownRecording", "rendered_feed", "write_comparison_rrd", "write_html", "write_rrd"]
 
 
 def __getattr__(name: str) -> Any:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.errors import InputError
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, PeopleOption, claim_file, write_text
+from h3data_pipelines.command import ForceFlag, JsonFlag, LightOption, Outcome, PeopleOption, claim_file, write_text
 from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ class ReportCommand:
     Examples:
         h3data report ds/ -o report.html
         h3data report expert/ random/ still/ -o report.html --latex tables.tex
+        h3data report ds/ -o report.html --replays
         h3data report ds/ --markdown tables.md --pictures 0
         h3data report out/zsc --zsc plan_pop_1 --zsc plan_pop_2
         h3data report study/ --study-model observation --failed limit
@@ -44,7 +45,10 @@ class ReportCommand:
     """Also write the tables to this LaTeX file (needs booktabs)."""
     pictures: int = 6
     """Number of episodes per task shown with key frames."""
+    replays: bool = False
+    """Also write an HTML replay of each episode shown with key frames, and link it: REPORT_replays/, 1 to 3 MB each."""
     people: PeopleOption = "skin"
+    light: LightOption = "baked"
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     zsc: tuple[str, ...] = ()
@@ -56,7 +60,7 @@ class ReportCommand:
 
     def run(self) -> Outcome:
         from h3data.metrics import StudyModel
-        from h3data_viewers.html_report.report import write_report
+        from h3data_viewers.html_report.report import replay_folder, write_report
 
         if not self.datasets:
             raise InputError("Expected at least one dataset or recording.")
@@ -67,17 +71,27 @@ class ReportCommand:
             raise InputError("-o, --markdown and --latex must be different files.")
         for path in targets:
             claim_file(path, force=self.force)
+        if self.replays and self.pictures == 0:
+            raise InputError("--replays needs episodes with key frames: leave out --pictures 0.")
+        folder = replay_folder(self.out)
+        if self.replays and folder.exists() and not self.force:
+            raise InputError(
+                f"The folder of the replays exists. Use --force to overwrite them, or another -o: {folder}"
+            )
         report = write_report(
             self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets, people=self.people,
+            light=self.light,
             study=StudyModel(steps=self.study_model, failed=self.failed),
-            zsc=[name for entry in self.zsc for name in entry.split(",") if name],
+            zsc=[name for entry in self.zsc for name in entry.split(",") if name], replays=self.replays,
         )  # fmt: skip
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:
             write_text(self.latex, report.to_latex())
         exit_code = int(bool(report.data.unmeasured))
-        return Outcome(text=_text(report, targets), data=self._data(report), result=report, exit_code=exit_code)
+        return Outcome(
+            text=_text(report, [*targets, *report.replays]), data=self._data(report), result=report, exit_code=exit_code
+        )
 
     def _data(self, report: Report) -> dict[str, Any]:
         return {
@@ -92,6 +106,7 @@ class ReportCommand:
             ],
             "tables": [table.key for table in report.tables],
             "missing": list(report.missing),
+            "replays": [str(path) for path in report.replays],
             "unmeasured": {reason: list(names) for reason, names in report.data.unmeasured.items()},
         }
 

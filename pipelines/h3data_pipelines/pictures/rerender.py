@@ -20,6 +20,7 @@ from h3data_pipelines.command import (
     DryRunFlag,
     ForceFlag,
     JsonFlag,
+    LightOption,
     Outcome,
     PeopleOption,
     counted,
@@ -74,6 +75,7 @@ class Rerender:
     """mp4 (H.264) or av1: videos for viewing. png: images, depth as 16-bit millimetres, ids as 16-bit id + 1.
     data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
     people: PeopleOption = "skin"
+    light: LightOption = "baked"
     workers: int | None = None
     """Number of render threads (default: one per core)."""
     dry_run: DryRunFlag = False
@@ -119,7 +121,8 @@ class Rerender:
         self, path: Path, stem: str, outputs: Sequence[Output], counter: str
     ) -> tuple[list[str], dict[str, Any]]:
         """Renders one recording; returns a summary as lines of text and as JSON data."""
-        replay = Replay(open_episode(path), assets=self.assets, people=self.people)
+        light = self.light if "rgb" in outputs else "flat"  # nothing else shows it
+        replay = Replay(open_episode(path), assets=self.assets, people=self.people, light=light)
         tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
         names = [track.camera.name for track in tracks]
         if len(set(names)) < len(names):

@@ -1,18 +1,24 @@
-"""``h3data view``: one recording, or two side by side, as a Rerun file with a ready-made layout."""
+"""``h3data view``: one recording, or two side by side, as a Rerun file with a ready-made layout; or as an HTML file that
+plays from disk."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
+import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from h3data.errors import InputError
+from h3data.files import size_text
 from h3data.recording import Recording
 from h3data.recording.storage import RemotePath, place
 from h3data.replay import Replay
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, PeopleOption, claim_file, open_episode
+from h3data_pipelines.command import ForceFlag, JsonFlag, LightOption, Outcome, PeopleOption, claim_file, open_episode
 from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.pictures.rerender import missing_lines
 
@@ -22,10 +28,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """Write a recording as a Rerun file: 3-D scene, moving bodies, charts, events.
+    """Write a recording as a Rerun file or as one HTML file that plays from disk: 3-D scene, moving bodies, charts, events.
+
+    The HTML file needs no server, no network and no program but a browser: send it to somebody, or put it on a page.
 
     Examples:
         h3data view out/demo/episode.mcap -o episode.rrd
+        h3data view ds#3 -o episode.html --open
         h3data view rec/session.mcap --assets ~/habitat
         h3data view ds#3 --camera robot_arm --camera third_person
         h3data view ds#3 --compare other#3
@@ -34,18 +43,50 @@ class View:
     recording: tyro.conf.Positional[Path]
     """.mcap file or episode of a dataset such as ds#0, as a path or URI."""
     compare: Path | None = None
-    """Second recording, shown next to the first on the same timeline."""
+    """Second recording, shown next to the first on the same timeline (.rrd only)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """.rrd file to write (default: next to the recording)."""
+    """.rrd or .html file to write (default: .rrd, next to the recording)."""
     camera: tuple[str, ...] = ()
-    """Cameras to render at every fifth step: names as in rerender, or .toml or .json files."""
+    """Cameras to render at every fifth step: names as in rerender, or .toml or .json files (.rrd only)."""
     people: PeopleOption = "skin"
+    light: LightOption = "baked"
+    """Of the cameras' pictures; the 3-D scene has none."""
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
+    open: bool = False
+    """Open the file when it is written: .rrd in Rerun, .html in the browser."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        form = ".rrd" if self.out is None else self.out.suffix.lower()
+        if form not in (".rrd", ".html"):
+            raise InputError(f"Expected a file name that ends in .rrd or .html, got: {self.out}")
+        return self._html() if form == ".html" else self._rrd()
+
+    def _html(self) -> Outcome:
+        from h3data_viewers.html_replay.html_file import write_html
+
+        if self.compare is not None or self.camera:
+            option = "--compare" if self.compare is not None else "--camera"
+            raise InputError(f"{option} needs a Rerun file: give -o a name that ends in .rrd. Got: {self.out}")
+        assert self.out is not None
+        recording = open_episode(self.recording)
+        out = claim_file(self.out, force=self.force, suffix=".html")
+        replay = Replay(recording, assets=self.assets, people=self.people, detail=False)
+        written = write_html(recording, out, replay=replay, overwrite=self.force)
+        fewer = f", {written.states:,} of {written.steps:,} states" if written.states < written.steps else ""
+        lines = [f"wrote {out} ({size_text(written.bytes)}{fewer}); open it in a browser", *missing_lines(replay)]
+        return self._finished("html", out, lines, replay.missing, states=written.states)
+
+    def _finished(self, kind: str, out: Path, lines: list[str], missing: dict[str, int], **more: Any) -> Outcome:
+        fault = _open(out) if self.open else ""
+        data = {kind: str(out), "bytes": out.stat().st_size, "missing": missing, **more}
+        return Outcome(
+            text="\n".join([*lines, *filter(None, [fault])]), data=data, result=out, exit_code=int(bool(fault))
+        )
+
+    def _rrd(self) -> Outcome:
         from h3data_viewers import write_comparison_rrd, write_rrd
 
         paths = [self.recording] if self.compare is None else [self.recording, self.compare]
@@ -53,7 +94,10 @@ class View:
             raise InputError(f"--compare expects a second recording, got the first one again: {self.compare}")
         recordings = [open_episode(path) for path in paths]
         out = claim_file(self.out or self._beside(), force=self.force, suffix=".rrd")
-        replays = [Replay(recording, assets=self.assets, people=self.people, detail=False) for recording in recordings]
+        replays = [
+            Replay(recording, assets=self.assets, people=self.people, detail=False, light=self.light)
+            for recording in recordings
+        ]
         shown = [self._shown(*each) for each in zip(paths, recordings, replays, strict=True)]
         if len(shown) == 1:
             only = shown[0]
@@ -61,10 +105,8 @@ class View:
         else:
             write_comparison_rrd(shown[0], shown[1], out, overwrite=self.force)
         lines = dict.fromkeys(line for replay in replays for line in missing_lines(replay))
-        text = "\n".join([f"wrote {out}; open it with: rerun {out}", *lines])
         missing = {uri: count for replay in reversed(replays) for uri, count in replay.missing.items()}
-        data = {"rrd": str(out), "bytes": out.stat().st_size, "missing": missing}
-        return Outcome(text=text, data=data, result=out)
+        return self._finished("rrd", out, [f"wrote {out}; open it with: rerun {out}", *lines], missing)
 
     def _shown(self, path: Path, recording: Recording, replay: Replay) -> ShownRecording:
         from h3data_viewers import ShownRecording, rendered_feed
@@ -79,6 +121,20 @@ class View:
         if self.compare is not None:
             stem += f"_and_{recording_stem(self.compare)}"
         return self.recording.with_name(f"{stem}.rrd")
+
+
+def _open(path: Path) -> str:
+    """Opens a file in the program that shows it, and returns why that did not work, if it did not."""
+    if path.suffix.lower() == ".html":
+        opened = webbrowser.open(path.resolve().as_uri())
+        return "" if opened else f"There is no browser to open it in. Hint: copy it to a machine with one: {path}"
+    beside = Path(sys.executable).with_name("rerun")
+    viewer = str(beside) if beside.is_file() else shutil.which("rerun")
+    if viewer is None:
+        return 'Rerun is not installed, so nothing was opened. Hint: pip install "rerun-sdk>=0.41,<0.42"'
+    quiet = subprocess.DEVNULL
+    subprocess.Popen([viewer, str(path)], stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
+    return ""
 
 
 def _same(first: Path, second: Path) -> bool:

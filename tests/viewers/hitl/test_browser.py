@@ -23,9 +23,8 @@ PLAYER_S = 400
 """A software renderer on a machine that does other things draws two pictures a second."""
 
 
-def _missing() -> str:
-    if importlib.util.find_spec("aiohttp") is None:
-        return "aiohttp is not installed (extra hitl)"
+def missing_browser() -> str:
+    """Why no page can be played in a browser here; empty: it can."""
     if CHROMIUM is None:
         return "there is no chromium (set CHROMIUM to its path)"
     if shutil.which("node") is None:
@@ -35,6 +34,12 @@ def _missing() -> str:
         if (WEB / "node_modules" / "playwright-core").is_dir()
         else "node packages are not installed (make check-web)"
     )
+
+
+def _missing() -> str:
+    if importlib.util.find_spec("aiohttp") is None:
+        return "aiohttp is not installed (extra hitl)"
+    return missing_browser()
 
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(bool(_missing()), reason=_missing() or "nothing is missing")]

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from h3data_viewers.hitl import workers as module
+from h3data_viewers.hitl.front import Front
 from h3data_viewers.hitl.live import Table
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan
 from h3data_viewers.hitl.workers import Preparer
@@ -82,5 +83,22 @@ def test_without_a_spare_or_with_one_that_says_nothing_the_worker_does_it(monkey
         workers.spare = second = Spare()
         preparer.ask(ORDER)
         assert len(first.letters) == len(second.letters) == 1, "another spare is asked again"
+
+    asyncio.run(ask())
+
+
+def test_the_episodes_after_those_that_are_played_are_prepared_ahead(tmp_path: Path) -> None:
+    async def ask() -> None:
+        plan = PlayPlan(app="rearrange", out=str(tmp_path), seats=("person",), episodes=6)
+        front, spare = Front(plan, tables=2), Spare()
+        front.workers.ready_spare = lambda: spare  # type: ignore[assignment, return-value]
+        front.journal.begin(0)
+        front._prepare_next()
+        front._prepare_next()
+        assert [body["index"] for _, _, body in spare.letters] == [1, 2], "as many as there are tables, each once"
+        for _ in range(4):
+            front.journal.begin(0)
+        front._prepare_next()
+        assert [body["index"] for _, _, body in spare.letters] == [1, 2, 5], "never more than there are"
 
     asyncio.run(ask())

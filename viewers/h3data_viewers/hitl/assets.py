@@ -14,7 +14,6 @@ import numpy as np
 from h3data.bodies import Robot
 from h3data.exporters.gltf_animation import write_gltf_animation
 from h3data.exporters.posing import posed_parts
-from h3data.geometry import pose_from_matrix
 from h3data.recording import RecordingHeader
 from h3data.replay import Replay
 from h3data_viewers.hitl.app import App
@@ -22,6 +21,7 @@ from h3data_viewers.hitl.drivers import driving_base
 from h3data_viewers.hitl.messages import PERIOD_S
 from h3data_viewers.hitl.plan import VERSION
 from h3data_viewers.hitl.wire import BODY_JOINTS
+from h3data_viewers.rigs import robot_rig
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.recorder import finished
@@ -75,7 +75,7 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
     for k, member in enumerate(episode.roster):
         agent: dict[str, Any] = {"name": member.name, "kind": member.kind, "drive": _drive(driving_base(session, k))}
         if isinstance(member.body, Robot):
-            agent |= _robot(member.body)
+            agent |= robot_rig(member.body)
         else:
             agent["bones"] = list(member.body.joint_names[: BODY_JOINTS + 1])
         agents.append(agent)
@@ -94,27 +94,6 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
 def digest(data: bytes) -> str:
     """Name of a file by its content."""
     return hashlib.sha256(data).hexdigest()[:20]
-
-
-def _robot(robot: Robot) -> dict[str, Any]:
-    links = [
-        {
-            "name": link.name,
-            "parent": int(link.parent),
-            "origin": pose_from_matrix(robot.origins[k]).round(7).tolist(),
-            "axis": robot.axes[k].tolist(),
-            "kind": int(robot.kinds[k]),
-            "column": int(robot.columns[k]),
-            "gain": float(robot.gains[k]),
-            "offset": float(robot.offsets[k]),
-        }
-        for k, link in enumerate(robot.links)
-    ]
-    return {
-        "base": pose_from_matrix(robot.to_base).round(7).tolist(),
-        "joints": len(robot.joint_names),
-        "links": links,
-    }
 
 
 def _drive(base: BaseSpec) -> dict[str, Any]:

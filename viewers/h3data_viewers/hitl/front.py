@@ -27,6 +27,8 @@ asks every 120 ms."""
 MOST_BUSY = 0.7
 """Share of a core that a worker's games may take: beyond it a further one would slow down all others."""
 MOST_SPECTATORS = 20
+MOST_AHEAD = 4
+"""Episodes that are prepared while others are played."""
 SEATS_PER_ADDRESS = 12
 """Seats that one network address may have at once: a class in a lab, not a flood."""
 BEGIN_S, POST_BYTES = 90.0, 64 * 1024
@@ -217,6 +219,7 @@ class Front:
             if self.plan.seats[seat.number] == "spectator":
                 raise web.HTTPConflict(text="Nobody plays at the moment. Reload the page when they do.")
             game = self.journal.begin(seat.place)
+            self._prepare_next()
         if seat.game != game.key:
             self.journal.assign(seat, game)
         return self._live(game)
@@ -239,6 +242,12 @@ class Front:
             live.beginning = asyncio.create_task(self._begin_prepared(live, worker, order))
         else:
             self._send_order(live, worker, order)
+
+    def _prepare_next(self) -> None:
+        """Has the episodes prepared that begin next, while the present ones are played."""
+        begun = len(self.journal.games)
+        for episode in range(begun, min(begun + min(self.tables, MOST_AHEAD), self.plan.episodes)):
+            self.preparer.ask(GameOrder(index=episode, name=recording_name(episode)))
 
     async def _begin_prepared(self, live: Live, worker: WorkerProcess, order: GameOrder) -> None:
         await self.preparer.wait(order)
@@ -300,6 +309,7 @@ class Front:
             live.begun.set_exception(Failed(over.get("why", over["ended"])))
             live.begun.exception()  # nobody may be waiting for it
         del self.lives[live.game.key]
+        self._prepare_next()
         self.report({"over": {**over, "episode": live.game.episode, "key": live.game.key}})
         if is_last and all(game.over for game in self.journal.games.values()):
             self.done.set()

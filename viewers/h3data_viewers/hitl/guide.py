@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
+from shapely.ops import nearest_points
 
 from h3data.errors import InputError
 from h3data.geometry import Array, wrap_angle
@@ -21,6 +23,8 @@ STUCK_STEPS, STUCK_M = 45, 0.05
 """Gives up after this many steps without getting on by this distance."""
 FLOOR_SNAP_M = 0.6
 """A point this far off the free floor is moved onto it: people click on the foot of a cupboard and mean the place before it."""
+NEAR_M = 2.0
+"""Who clicks on floor that cannot be reached is led as near as possible, if that is at most this far from it."""
 
 
 @dataclass
@@ -43,12 +47,14 @@ class Guide:
         cls, free: FreeSpace, xz: Array, goal: ArrayLike, *, speed_mps: float, turn_rad_s: float,
         heading: float | None = None,
     ) -> Guide:  # fmt: skip
-        """The shortest path over a floor.
+        """The shortest path over a floor; to the nearest point within `NEAR_M` of a goal that cannot be reached.
 
         Raises:
             InputError: no path leads there; the text is for the player.
         """
         path = free.path(xz, np.asarray(goal, np.float64), max_snap_m=FLOOR_SNAP_M)
+        if len(path) == 0:  # what was clicked on lies on an island of the floor, or in the middle of something large
+            path = free.path(xz, _nearest_reachable(free, xz, goal))
         if len(path) == 0:
             raise InputError("No path leads there.")
         return cls(list(path[1:]), heading, speed_mps, turn_rad_s, _last=np.array(xz))
@@ -84,3 +90,13 @@ class Guide:
 def _share(rest: float, per_s: float) -> float:
     """The share of a speed that covers ``rest`` in one step, at most all of it."""
     return max(-1.0, min(1.0, rest * STEPS_PER_S / per_s))
+
+
+def _nearest_reachable(free: FreeSpace, xz: Array, goal: ArrayLike) -> Array:
+    """The point (x, z) nearest to ``goal`` that can be reached from ``xz``; NaN if it is farther away than `NEAR_M`."""
+    island = int(free.island(free.snap(xz)))
+    there = shapely.Point(np.asarray(goal, np.float64))
+    if island < 0 or free.polygon.geoms[island].distance(there) > NEAR_M:
+        return np.full(2, np.nan)
+    nearest, _ = nearest_points(free.polygon.geoms[island], there)
+    return np.array([nearest.x, nearest.y])

@@ -20,6 +20,7 @@ from string import Template
 from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.files import part_file
 from h3data.metrics import StudyModel
+from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.report_charts import (
     distribution_charts,
     estimate_charts,
@@ -38,6 +39,7 @@ from h3data_viewers.html_report.report_paper import (
 from h3data_viewers.html_report.report_pictures import (
     Highlight,
     Plans,
+    ReplayFiles,
     highlight_card,
     highlights,
     ranked_by,
@@ -65,6 +67,8 @@ class Report:
     missing: tuple[str, ...]
     """What is not in the report, and why."""
     html: str
+    replays: tuple[Path, ...] = ()
+    """HTML replays that the page links."""
 
     def to_markdown(self) -> str:
         """All tables as GitHub Markdown."""
@@ -82,16 +86,19 @@ def make_report(
     pictures: int = 6,
     assets: Sequence[str | os.PathLike[str]] = (),
     people: PeopleStyle = "skin",
+    light: LightMode = "flat",
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
     more: Sequence[Table] = (),
+    replays: ReplayFiles | None = None,
 ) -> Report:
     """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
-    ``assets`` are folders of the files that foreign recordings name, and ``people`` how people are shown, for the key
-    frames; ``study`` chooses the models of
+    ``assets`` are folders of the files that foreign recordings name; ``people`` and ``light`` are those of the key frames, as
+    in `h3data.replay.Replay`; ``study`` chooses the models of
     episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population; ``more`` are
-    tables of what is not in recordings, each in a section of its own.
+    tables of what is not in recordings, each in a section of its own; ``replays`` takes HTML replays of the episodes with key
+    frames, which link them.
 
     Raises:
         InputError: there is no recording, or episodes that cannot share a table; see `gather`.
@@ -111,7 +118,9 @@ def make_report(
         heat += partners
         body += _task_sections(task, runs, [*tables, *partners], plans, missing, tail)
         if chosen := highlights(runs, pictures):
-            body.append(_highlighted(task, chosen, plans, [Path(folder) for folder in assets], people, tail))
+            body.append(
+                _highlighted(task, chosen, plans, [Path(folder) for folder in assets], people, light, tail, replays)
+            )
     if any(not e.recorded for e in data.episodes):
         missing.append("Pictures, paths and times of evaluated episodes: evaluate --keep keeps their recordings.")
     body += [_section(table.key, table.title, to_html(table)) for table in more]
@@ -133,6 +142,7 @@ def make_report(
         tables_of_partners=tuple(heat),
         missing=tuple(missing),
         html=_page(title, plans.definitions() + head + "<main>" + "".join(s for _, _, s in body) + "</main>" + _foot()),
+        replays=tuple(replays.written) if replays is not None else (),
     )
 
 
@@ -144,17 +154,34 @@ def write_report(
     pictures: int = 6,
     assets: Sequence[str | os.PathLike[str]] = (),
     people: PeopleStyle = "skin",
+    light: LightMode = "flat",
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
     more: Sequence[Table] = (),
+    replays: bool = False,
 ) -> Report:
-    """`make_report`, written to ``out``."""
+    """`make_report`, written to ``out``; with ``replays``, HTML replays lie in the folder `replay_folder` beside it."""
+    files = ReplayFiles(replay_folder(out)) if replays else None
     report = make_report(
-        paths, title=title, pictures=pictures, assets=assets, people=people, study=study, zsc=zsc, more=more
+        paths,
+        title=title,
+        pictures=pictures,
+        assets=assets,
+        people=people,
+        light=light,
+        study=study,
+        zsc=zsc,
+        more=more,
+        replays=files,
     )
     with part_file(out) as part:
         part.write_text(report.html, encoding="utf-8")
     return report
+
+
+def replay_folder(out: str | os.PathLike[str]) -> Path:
+    """The folder of the replays of a report."""
+    return Path(out).with_name(f"{Path(out).stem}_replays")
 
 
 # --- sections ---------------------------------------------------------------------------------------------------------
@@ -232,9 +259,16 @@ def _task_sections(
 
 
 def _highlighted(
-    task: str, chosen: Sequence[Highlight], plans: Plans, assets: Sequence[Path], people: PeopleStyle, tail: str
+    task: str,
+    chosen: Sequence[Highlight],
+    plans: Plans,
+    assets: Sequence[Path],
+    people: PeopleStyle,
+    light: LightMode,
+    tail: str,
+    replays: ReplayFiles | None,
 ) -> Part:
-    cards = "".join(highlight_card(highlight, plans, assets, people) for highlight in chosen)
+    cards = "".join(highlight_card(highlight, plans, assets, people, light, replays) for highlight in chosen)
     ranking = ", then by ".join(ranked_by(chosen[0].run.profile))
     lead = (
         f"<p class=quiet>Ranked by {ranking}. Plans: robot orange, person blue; a ring is the start, a dot the end.</p>"

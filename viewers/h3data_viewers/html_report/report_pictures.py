@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,9 @@ from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import H3DataError
 from h3data.metrics import Profile
 from h3data.metrics.report_layout import Milestone
+from h3data.recording import Recording
 from h3data.render.image_files import jpeg_data_uri
+from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.report_charts import series_class
 from h3data_viewers.html_report.report_data import Run, read_whole
 from h3data_viewers.html_report.report_episode import GRID_S, ReportEpisode, Track
@@ -231,22 +235,55 @@ def _score(episode: ReportEpisode, profile: Profile) -> tuple[float, ...]:
     return tuple(-np.inf if np.isnan(v) else s * v for s, v in zip(signs, values, strict=True))
 
 
+@dataclass
+class ReplayFiles:
+    """HTML replays of the episodes of a report, in a folder beside it."""
+
+    folder: Path
+    written: list[Path] = field(default_factory=list)
+
+    def link(
+        self, highlight: Highlight, recording: Recording, assets: Sequence[str | Path], people: PeopleStyle
+    ) -> str:
+        """Writes the replay of an episode and returns a link to it, relative to the report."""
+        from h3data.replay import Replay
+        from h3data_viewers.html_replay.html_file import write_html
+
+        task = re.sub(r"[^A-Za-z0-9_-]+", "_", recording.episode.task) or "episode"
+        path = self.folder / f"{task}_{len(self.written) + 1}_{highlight.kind}.html"
+        write_html(
+            recording, path, replay=Replay(recording, assets=assets, people=people, detail=False),
+            title=f"{highlight.run.name}, episode {recording.episode.episode_id}", overwrite=True,
+        )  # fmt: skip
+        self.written.append(path)
+        return f'<a href="{escape(quote(f"{self.folder.name}/{path.name}"))}">Play this episode</a>'
+
+
 def highlight_card(
-    highlight: Highlight, plans: Plans, assets: Sequence[str | Path] = (), people: PeopleStyle = "skin"
+    highlight: Highlight,
+    plans: Plans,
+    assets: Sequence[str | Path] = (),
+    people: PeopleStyle = "skin",
+    light: LightMode = "flat",
+    replays: ReplayFiles | None = None,
 ) -> str:
     """Plan with both tracks, key frames, distance over time and the metrics of one episode.
 
-    ``assets`` are folders of the files that a foreign recording names.
+    ``assets`` are folders of the files that a foreign recording names; ``people`` and ``light`` are as in `Replay`;
+    ``replays`` takes an HTML replay of the episode, which the card links.
     """
     from h3data.replay import Replay
 
-    episode = highlight.episode
+    episode, link = highlight.episode, ""
     tag = highlight.kind if len(highlight.run.episodes) > 1 else "only one"
     rows = key_rows(episode, highlight.run.profile.report.milestones)
     scene, frames, missing = None, [], ""
     try:
-        replay = Replay(read_whole(episode), assets=assets, people=people)
+        recording = read_whole(episode)
+        replay = Replay(recording, assets=assets, people=people, light=light)
         scene = replay.scene
+        if replays is not None:
+            link = replays.link(highlight, recording, assets, people) + ". "
         if replay.drawables:
             frames = _frames(replay, [row for row, _ in rows])
         else:
@@ -280,7 +317,7 @@ def highlight_card(
         f'<ul class="values">{values}</ul><div class="card-body"><div class="card-plan">{svg.to_html()}'
         f"{_sparkline(episode)}</div>"
         f'<div class="frames">{pictures}{missing}</div></div>'
-        f"<p class=quiet>Look: <code>h3data view {escape(_quoted(episode.name))}</code></p></article>"
+        f"<p class=quiet>{link}Look: <code>h3data view {escape(_quoted(episode.name))}</code></p></article>"
     )
 
 

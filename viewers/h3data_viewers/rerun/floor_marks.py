@@ -56,18 +56,19 @@ def log_goals(sink: Sink, recording: Recording) -> None:
     """
     import rerun as rr
 
-    positions, labels = _object_goals(recording)
+    positions, labels = object_goals(recording)
     if len(positions):
         points = rr.Points3D(positions, radii=[0.07], colors=[GOAL_COLOR], labels=labels, show_labels=True)
         sink.static("world/goals/objects", points)
-    for agent, rows, points in _walking_goals(recording):
+    for index, rows, points in walking_goals(recording):
+        agent = rr.escape_entity_path_part(recording.agents[index].name or "unnamed")
         static = rr.Points3D.from_fields(colors=[GOAL_COLOR], radii=[0.09])
         sink.static(f"world/goals/{agent}", static)
         sink.columns(f"world/goals/{agent}", rows, rr.Points3D.columns(positions=points))
 
 
-def _object_goals(recording: Recording) -> tuple[NDArray[np.float64], list[str]]:
-    """Goal positions of objects [N, 3] [m] and their labels."""
+def object_goals(recording: Recording) -> tuple[NDArray[np.float64], list[str]]:
+    """Goal positions of objects [N, 3] [m] and their labels, from ``episode.info``."""
     info = recording.episode.info
     goals = info.get("goals")
     if isinstance(goals, Sequence) and not isinstance(goals, str) and goals:
@@ -79,10 +80,8 @@ def _object_goals(recording: Recording) -> tuple[NDArray[np.float64], list[str]]
     return positions, [f"goal {k + 1}" for k in range(len(positions))]
 
 
-def _walking_goals(recording: Recording) -> list[tuple[str, NDArray[np.int64], NDArray[np.float64]]]:
-    """Walking goals of the first person: entity name, rows [N] where the goal changes, positions [N, 3] [m]."""
-    import rerun as rr
-
+def walking_goals(recording: Recording) -> list[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
+    """Walking goals of the first person: index of the agent, rows [N] where the goal changes, positions [N, 3] [m]."""
     goals = _points(recording.episode.info.get("human_goals"), 2, "human_goals")
     column = recording.columns.get("sim.human_goal")
     people = [i for i, a in enumerate(recording.agents) if a.kind == "human"]
@@ -92,8 +91,7 @@ def _walking_goals(recording: Recording) -> list[tuple[str, NDArray[np.int64], N
     rows = np.flatnonzero(np.concatenate([[True], np.diff(index) != 0]))
     height = np.nan_to_num(recording.agent_column(people[0], "base_pose")[rows, 1].astype(np.float64))
     x, z = goals[index[rows]].T
-    name = rr.escape_entity_path_part(recording.agents[people[0]].name or "unnamed")
-    return [(name, rows, np.column_stack([x, height + ABOVE_FLOOR_M, z]))]
+    return [(people[0], rows, np.column_stack([x, height + ABOVE_FLOOR_M, z]))]
 
 
 def _points(value: Any, width: int, key: str) -> NDArray[np.float64]:

@@ -43,6 +43,21 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
 
 
 # --- plots ------------------------------------------------------------------------------------------------------------
+def curves_of(recording: Recording) -> tuple[dict[str, NDArray[Any]], list[str]]:
+    """Returns the per-step scalars [T] by name, and the names of those that are distances [m]."""
+    curves: dict[str, NDArray[Any]] = {
+        name.removeprefix("metrics."): column
+        for name, column in recording.columns.items()
+        if name.startswith("metrics.") and column.ndim == 1 and column.dtype.kind in "fiub"
+    }
+    distances = [name for name in curves if name.startswith(("dist", "geodesic"))]
+    pair = agent_pair(recording)
+    if pair is not None and "dist_agents" not in curves:
+        curves["distance_l2"] = l2_distance(recording, *pair)
+        distances.append("distance_l2")
+    return curves, distances
+
+
 def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, bounds: bool = True) -> tuple[str, ...]:
     """Logs every per-step scalar below ``metrics/`` and returns the paths of the distances, which share one plot.
 
@@ -53,16 +68,8 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, b
     """
     import rerun as rr
 
-    curves: dict[str, NDArray[Any]] = {
-        name.removeprefix("metrics."): column
-        for name, column in recording.columns.items()
-        if name.startswith("metrics.") and column.ndim == 1 and column.dtype.kind in "fiub"
-    }
-    plotted = [name for name in curves if name.startswith(("dist", "geodesic"))]  # metres only: one axis per plot
+    curves, plotted = curves_of(recording)
     pair = agent_pair(recording)
-    if pair is not None and "dist_agents" not in curves:
-        curves["distance_l2"] = l2_distance(recording, *pair)
-        plotted.append("distance_l2")
     for name, column in curves.items():
         values = column.astype(np.float64)
         values[np.isinf(values)] = np.nan  # infinite: no path; NaN leaves a gap in the curve

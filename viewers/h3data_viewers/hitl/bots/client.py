@@ -56,10 +56,15 @@ class Client:
     """From each message to the state that has it [s]."""
     times: list[float] = field(default_factory=list)
     """When states came, by `time.monotonic`."""
+    played_s: float = 0.0
+    """Time between states of the same connection: without waiting for seats and next episodes."""
+    waited_s: list[float] = field(default_factory=list)
+    """From the end of each episode to the first state of the next."""
     close_code: int | None = None
     seq: int = 0
     news: asyncio.Event = field(default_factory=asyncio.Event)
     """Set by whatever comes."""
+    _latest: float = 0.0
     _sent: dict[int, float] = field(default_factory=dict)
     _hearing: asyncio.Task[None] | None = None
 
@@ -88,7 +93,7 @@ class Client:
         if self._hearing is not None:
             self._hearing.cancel()
         self.head, self.told, self.close_code = (STATE, 0, 0, 0, 0, -1, 0.0), [], None
-        self.things = [Thing() for _ in self.manifest["objects"]]
+        self.things, self._latest = [Thing() for _ in self.manifest["objects"]], 0.0
         self.socket = await self.http.ws_connect(self.address, compress=0)
         self._hearing = asyncio.create_task(self._hear())
 
@@ -111,6 +116,8 @@ class Client:
         before, self.head = self.head[5], HEAD.unpack_from(data)
         self.states += 1
         self.bytes += len(data)
+        self.played_s += now - (self._latest or now)
+        self._latest = now
         if len(self.times) < MOST_KEPT:
             self.times.append(now)
         at, self.bases = HEAD.size, []

@@ -4,7 +4,8 @@ import type { Driving } from "../motion/drive.ts";
 import type { Link, Pose7 } from "../scene/robot.ts";
 import type { SdfShape } from "../motion/sdf.ts";
 
-export interface AgentInfo {
+/** Somebody who is shown. */
+export interface StagedAgent {
   name: string;
   kind: "robot" | "human";
   /** Robot: from the base on the floor to the frame of its links; the links; how many joints a state has. */
@@ -13,6 +14,9 @@ export interface AgentInfo {
   joints?: number;
   /** Person: names of the joints that states move, the pelvis first. */
   bones?: string[];
+}
+
+export interface AgentInfo extends StagedAgent {
   drive: Driving;
 }
 
@@ -27,15 +31,21 @@ export interface GoalInfo {
   label: string;
 }
 
-export interface Manifest {
+/** The part of a manifest that says how states move the home's file. */
+export interface Stage {
+  agents: StagedAgent[];
+  objects: { name: string }[];
+  floor_y: number;
+}
+
+export interface Manifest extends Stage {
   version: number;
   agents: AgentInfo[];
+  objects: ThingInfo[];
   /** Index of the player's agent; -1: a spectator. */
   me: number;
-  objects: ThingInfo[];
   /** One for each object that has to be brought somewhere, by the index of the object. */
   goals: GoalInfo[];
-  floor_y: number;
   /** Seconds per step. */
   dt: number;
   sdf: SdfShape & { url: string };

@@ -3,6 +3,8 @@
 export interface RobotState {
   x: number;
   z: number;
+  /** Height of the floor under it; none: that of the home. */
+  y?: number;
   heading: number;
   joints: Float32Array;
 }
@@ -10,6 +12,7 @@ export interface RobotState {
 export interface PersonState {
   x: number;
   z: number;
+  y?: number;
   heading: number;
   /** Pelvis in the world: position [m], quaternion xyzw. */
   root: Float32Array;

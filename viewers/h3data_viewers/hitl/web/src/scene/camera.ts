@@ -32,7 +32,7 @@ export class CameraRig {
 
   /** `floorY` is the height of the floor, `eyeM` that of the eyes above it, `room` [x0, z0, x1, z1] the floor plan. */
   constructor(
-    private readonly floorY: number,
+    public floorY: number,
     private readonly eyeM: number,
     private readonly room: [number, number, number, number],
   ) {}

@@ -35,7 +35,7 @@ export class RobotRig {
   constructor(
     private readonly links: Link[],
     base: Pose7,
-    private readonly nodes: (Object3D | undefined)[],
+    readonly nodes: (Object3D | undefined)[],
   ) {
     this.base = matrixOf(base);
     this.origins = links.map((link) => matrixOf(link.origin));

@@ -20,7 +20,7 @@ import {
 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import type { Base } from "../motion/drive.ts";
-import type { AgentInfo, Manifest } from "../link/manifest.ts";
+import type { Stage, StagedAgent } from "../link/manifest.ts";
 import { wrapAngle } from "../motion/sdf.ts";
 import { RobotRig } from "./robot.ts";
 import type { PersonState, RobotState, State } from "../link/wire.ts";
@@ -51,14 +51,14 @@ export class World {
   private readonly swing = new Quaternion();
   private readonly from = new Vector3();
 
-  static async load(glb: ArrayBuffer, manifest: Manifest): Promise<World> {
+  static async load(glb: ArrayBuffer, manifest: Stage): Promise<World> {
     const file = await new GLTFLoader().parseAsync(glb, "");
     return new World(file.scene, manifest);
   }
 
   private constructor(
     root: Group,
-    private readonly manifest: Manifest,
+    private readonly manifest: Stage,
   ) {
     this.scene.background = new Color(0xdfe6ec);
     this.scene.add(root, ...lights());
@@ -90,6 +90,11 @@ export class World {
     return new Box3().setFromObject(thing).min.y - thing.getWorldPosition(this.from).y;
   }
 
+  /** Whether the home's ceilings are parts of their own. */
+  get hasLids(): boolean {
+    return this.lids.length > 0;
+  }
+
   showLids(shown: boolean): void {
     for (const lid of this.lids) lid.visible = shown;
   }
@@ -105,7 +110,14 @@ export class World {
     if (rig && "meshes" in rig) for (const mesh of rig.meshes) mesh.visible = shown;
   }
 
-  /** Poses everything between two states. `own` takes the place of the base of agent `me`, and what it holds rides along. */
+  /** Shows or hides everything of an agent. */
+  showAgent(agent: number, shown: boolean): void {
+    this.shadows[agent]!.visible = shown;
+    const rig = this.rigs[agent]!;
+    for (const node of rig instanceof RobotRig ? rig.nodes : rig.meshes) if (node) node.visible = shown;
+  }
+
+  /** Poses everything between two states; what is absent (NaN) is hidden. `own` takes the place of the base of agent `me`, and what it holds rides along. */
   pose(a: State, b: State, share: number, me: number, own: Base | null): void {
     const floorY = this.manifest.floor_y;
     this.manifest.agents.forEach((_, k) => {
@@ -114,15 +126,19 @@ export class World {
       const rig = this.rigs[k]!;
       const base = between(was, is, share);
       const shown = k === me && own ? own : base;
-      this.shadows[k]!.position.set(shown.x, floorY + 0.006, shown.z);
+      if (!Number.isFinite(base.x)) return this.showAgent(k, false);
+      const floor = is.y ?? floorY;
+      this.shadows[k]!.position.set(shown.x, floor + 0.006, shown.z);
       if (rig instanceof RobotRig) {
         const joints = [(was as RobotState).joints, (is as RobotState).joints] as const;
-        rig.pose(shown.x, floorY, shown.z, shown.heading, ...joints, share);
+        rig.pose(shown.x, floor, shown.z, shown.heading, ...joints, share);
       } else this.posePerson(rig, was as PersonState, is as PersonState, share, base, shown);
     });
     b.things.forEach((thing, k) => {
       const node = this.things[k]!;
       const was = a.things[k]!.pose;
+      node.visible = Number.isFinite(was[0]) && Number.isFinite(thing.pose[0]);
+      if (!node.visible) return;
       lerpPose(node, was, thing.pose, share, this.turn);
       if (own && thing.held === me && a.things[k]!.held === me) {
         this.carry(node, between(a.agents[me]!, b.agents[me]!, share), own);
@@ -159,7 +175,7 @@ export class World {
     if (TALL.some((kind) => name.startsWith(kind))) this.solid.push(node);
   }
 
-  private robotRig(agent: AgentInfo): RobotRig {
+  private robotRig(agent: StagedAgent): RobotRig {
     const links = agent.links ?? [];
     const nodes = links.map((link) => this.named.get(`${agent.name}/${link.name}`));
     return new RobotRig(links, agent.base ?? [0, 0, 0, 0, 0, 0, 1], nodes);
@@ -177,7 +193,7 @@ export class World {
 /** Furniture that would stand between the camera and the person. */
 const TALL = ["fridge", "wardrobe", "shelf", "front_door", "kitchen_cabinet", "shower", "window", "blind"];
 
-function personRig(root: Group, agent: AgentInfo): PersonRig {
+function personRig(root: Group, agent: StagedAgent): PersonRig {
   const group = root.children.find((node) => nameOf(node) === agent.name && !("isMesh" in node) && node.children.length);
   const bones = new Map<string, Bone>();
   group?.traverse((node) => {

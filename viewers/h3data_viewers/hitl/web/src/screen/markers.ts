@@ -24,6 +24,9 @@ export interface Mark {
   near: boolean;
   /** From the player, m; null: there is none. */
   far: number | null;
+  /** In place of the thing's letter and colour. */
+  chip?: string;
+  tone?: string;
 }
 
 /** Labels stay this far inside the picture: px at the sides, shares of the height at the top and the bottom. */
@@ -54,7 +57,7 @@ export class Labels {
     const at = this.at.copy(mark.point).project(camera);
     if (at.z > 1) at.set(-at.x * 9, -9, 0); // behind: at the lower border, on its side
     const [chip, name, far, arrow] = label.children as unknown as HTMLElement[];
-    setText(chip!, thingLetter(mark.thing));
+    setText(chip!, mark.chip ?? thingLetter(mark.thing));
     setText(name!, mark.text);
     setText(far!, mark.far === null ? "" : `${mark.far.toFixed(mark.far < 10 ? 1 : 0)} m`);
     const half = label.offsetWidth / 2 + EDGE_PX;
@@ -64,7 +67,7 @@ export class Labels {
     const outside = at.x < -1 || at.x > 1 || y !== at.y;
     label.classList.toggle("outside", outside);
     label.classList.toggle("near", mark.near);
-    label.style.setProperty("--tone", thingColor(mark.thing));
+    label.style.setProperty("--tone", mark.tone ?? thingColor(mark.thing));
     const top = ((1 - y) / 2) * height;
     const down = x + half > free.x ? Math.min(top, free.y - LABEL_PX) : top;
     label.style.transform = `translate(${x}px, ${down}px) translate(-50%, -50%)`;

@@ -1,0 +1,164 @@
+"""The home and everybody in it as a GLB in pieces: meshes thinned to a budget, coordinates rounded, textures as JPEG."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import struct
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from h3data.exporters.gltf_animation import write_gltf_animation
+from h3data.exporters.posed_parts import PosedPart
+from h3data.geometry import IDENTITY_POSE, Array
+from h3data.mesh.glb import FLOAT32, UINT16, UINT32
+from h3data.mesh.images import reduced, reduced_size
+from h3data.mesh.mesh import Mesh, Texture
+from h3data.recording import Recording
+from h3data_viewers.html_replay.packing import Payload
+from h3data_viewers.rerun.mesh_budget import baked_colors, thin_mesh
+
+_LOG = logging.getLogger(__name__)
+
+MAX_VERTICES = 130_000
+"""Of all meshes; above it, all are thinned alike. A vertex takes about 6 bytes of the file: a medium home has 62,000."""
+LEAST_VERTICES = 100
+"""Of a mesh that is thinned."""
+MAX_TEXELS = 1 << 20
+TEXTURE_SIDE_PX = 256
+_STEPS = {"POSITION": 2.0**-12, "NORMAL": 2.0**-7, "TEXCOORD_0": 2.0**-13}
+"""Coordinates are rounded to a quarter of a millimetre, normals to half a degree, texture coordinates to an 8,192th."""
+_COLOR = 8
+"""Step of the colours of thinned meshes: more colours would be more triangles with corners of their own."""
+
+
+def add_home(payload: Payload, recording: Recording, parts: Sequence[PosedPart]) -> None:
+    """Adds the parts at their first pose. Joints of bodies that are no agent's model are named ``<body>/<joint>``.
+
+    The file ``home`` is the JSON of a GLB; buffer view k is ``home.k``, a file or an array of the type that its member
+    ``numbers`` says, which takes half of what a compressed GLB does. `web/src/replay/home.ts` puts the GLB together.
+    """
+    drawn = _within_budget([part for part in parts if len(part.mesh.faces)])
+    with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
+        path = Path(folder, "home.glb")
+        write_gltf_animation(recording, [_at_first(part) for part in drawn], path)
+        document, chunk = _read_glb(path.read_bytes())
+    _name_joints(document, len(recording.agents), drawn)
+    del document["asset"]["extras"]
+    _add_views(payload, document, chunk)
+    payload.add_file("home", json.dumps(document, separators=(",", ":")).encode())
+
+
+def first_pose(poses: Array) -> Array:
+    """The first pose [1, ...] that is there, of [T, ..., 7]."""
+    there = np.isfinite(poses).reshape(len(poses), -1).all(1)
+    if there.any():
+        return poses[int(np.argmax(there))][None]
+    return np.broadcast_to(IDENTITY_POSE, poses[:1].shape)
+
+
+def _at_first(part: PosedPart) -> PosedPart:
+    skeleton = part.skeleton
+    if skeleton is not None:
+        skeleton = replace(skeleton, poses=first_pose(skeleton.poses))
+    return replace(part, poses=first_pose(part.poses), skeleton=skeleton)
+
+
+def _name_joints(document: dict[str, Any], agents: int, parts: Sequence[PosedPart]) -> None:
+    """Joint names of different bodies may be equal; `write_gltf_animation` writes parts in their order, after the agents."""
+    node = agents
+    for part in parts:
+        node += 1
+        if part.skeleton is not None:
+            for name in part.skeleton.names:
+                if part.body is not None:
+                    document["nodes"][node]["name"] = f"{part.name}/{name}"
+                node += 1
+
+
+# --- budgets ----------------------------------------------------------------------------------------------------------
+def _within_budget(parts: Sequence[PosedPart]) -> list[PosedPart]:
+    distinct = {id(part.mesh): part.mesh for part in parts}
+    total = sum(len(mesh.vertices) for mesh in distinct.values())
+    if (share := MAX_VERTICES / max(total, 1)) < 1:
+        _LOG.info("Thinning %d vertices to %.0f%%", total, 100 * share)
+    rigged = {id(part.mesh) for part in parts if part.skeleton is not None}
+    textures = _reduced_textures(list(distinct.values()))
+    small = {
+        key: _thinned(mesh, share) if share < 1 and key not in rigged else _retextured(mesh, textures)
+        for key, mesh in distinct.items()
+    }
+    return [replace(part, mesh=small[id(part.mesh)]) for part in parts if len(small[id(part.mesh)].faces)]
+
+
+def _thinned(mesh: Mesh, share: float) -> Mesh:
+    """A mesh with ``share`` of its vertices and the colours of its textures in them."""
+    most = max(LEAST_VERTICES, int(share * len(mesh.vertices)))
+    if len(mesh.vertices) <= most and not mesh.textures:
+        return mesh
+    thin = thin_mesh(mesh, most)
+    if not len(thin.faces):
+        return mesh
+    colors = baked_colors(mesh)[thin.keep] // _COLOR * _COLOR + _COLOR // 2
+    normals = None if mesh.normals is None else mesh.normals[thin.keep]
+    return Mesh(vertices=mesh.vertices[thin.keep], faces=thin.faces, colors=colors.astype(np.uint8), normals=normals)
+
+
+def _reduced_textures(meshes: Sequence[Mesh]) -> dict[int, Texture]:
+    """Textures within the budget, by the id of the original."""
+    textures = {id(texture): texture for mesh in meshes for texture in mesh.textures}
+    sizes, side = [t.pixels.shape[1::-1] for t in textures.values()], TEXTURE_SIDE_PX
+    while side > 1 and sum(np.prod(reduced_size(w, h, side)) for w, h in sizes) > MAX_TEXELS:
+        side //= 2
+    return {key: Texture(pixels=reduced(t.pixels, side), name=t.name) for key, t in textures.items()}
+
+
+def _retextured(mesh: Mesh, textures: dict[int, Texture]) -> Mesh:
+    return replace(mesh, textures=tuple(textures[id(texture)] for texture in mesh.textures))
+
+
+# --- the file ---------------------------------------------------------------------------------------------------------
+def _read_glb(data: bytes) -> tuple[dict[str, Any], memoryview]:
+    (length,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + length]), memoryview(data)[28 + length :]
+
+
+def _add_views(payload: Payload, document: dict[str, Any], old: memoryview) -> None:
+    """Adds the buffer views: opaque pictures as JPEG, indices of 16 bits where they suffice."""
+    images = {image["bufferView"]: image for image in document.get("images", ())}
+    primitives = [p for mesh in document.get("meshes", ()) for p in mesh["primitives"]]
+    steps = {p["indices"]: 1.0 for p in primitives}
+    steps |= {p["attributes"][n]: step for p in primitives for n, step in _STEPS.items() if n in p["attributes"]}
+    accessors = {document["accessors"][k]["bufferView"]: (document["accessors"][k], step) for k, step in steps.items()}
+    for number, view in enumerate(document["bufferViews"]):
+        data = bytes(old[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
+        if number in accessors:
+            accessor, step = accessors[number]
+            kind = {FLOAT32: "<f4", UINT32: "<u4", UINT16: "<u2"}[accessor["componentType"]]
+            values = np.frombuffer(data, kind).reshape(accessor["count"], -1)
+            if kind == "<u4" and values.max(initial=0) < 65535:
+                kind, accessor["componentType"] = "<u2", UINT16
+            view["numbers"] = kind[1:]
+            payload.add_array(f"home.{number}", values, step)
+            continue
+        if image := images.get(number):
+            data, image["mimeType"] = _picture(data, image["name"])
+        payload.add_file(f"home.{number}", data)
+
+
+def _picture(png: bytes, name: str) -> tuple[bytes, str]:
+    """The palette and pictures with holes stay exact."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(png)) as picture:
+        opaque = picture.mode in ("RGB", "L") or picture.convert("RGBA").getchannel("A").getextrema() == (255, 255)
+        out = io.BytesIO()
+        picture.convert("RGB").save(out, "JPEG", quality=80, optimize=True)
+    small = name != "palette" and opaque and out.tell() < len(png)
+    return (out.getvalue(), "image/jpeg") if small else (png, "image/png")

@@ -1,0 +1,147 @@
+"""`write_html`: a recording as one HTML file that plays from disk.
+
+The file holds the page (built from ``hitl/web/src/replay``, the scene code of live play), the home as GLB and the states,
+all of it compressed in one block of Base64. Names and texts of the recording are inside that block: the page shows them
+as text, and its Content-Security-Policy lets no other script run and nothing be loaded.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from dataclasses import dataclass
+from functools import cache
+from html import escape
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from h3data.errors import H3DataError, InputError
+from h3data.exporters.posing import posed_parts
+from h3data.files import part_file
+from h3data.recording import Recording
+from h3data.replay import Replay
+from h3data_viewers.html_replay.home import add_home
+from h3data_viewers.html_replay.packing import Payload
+from h3data_viewers.html_replay.story import add_story
+from h3data_viewers.html_replay.tracks import add_tracks
+
+MOST_STATES = 6000
+"""States in a file (200 s at 30 Hz): of longer recordings every second, third, ... is kept, and the page goes between them."""
+TIME_S = 1e-4
+"""Step of times."""
+
+
+@dataclass(frozen=True)
+class HtmlReplay:
+    """A written replay."""
+
+    path: Path
+    bytes: int
+    states: int
+    """Number of states that it holds, at most `MOST_STATES`."""
+    steps: int
+    """Number of steps of the recording."""
+
+
+def write_html(
+    recording: Recording, path: str | Path, *, replay: Replay | None = None, title: str = "", overwrite: bool = False
+) -> HtmlReplay:
+    """Writes a recording as an HTML file that needs no server, no network and no other file.
+
+    Args:
+        recording: Recording to show.
+        path: Path of the ``.html`` file; missing folders are created.
+        replay: Its meshes and poses (default: without assets of foreign recordings, people by their reduced meshes).
+        title: Title of the page (default: task and episode id).
+        overwrite: Whether to replace an existing file.
+
+    Raises:
+        InputError: ``path`` exists and ``overwrite`` is false, or the recording has no steps.
+    """
+    path = Path(path)
+    if path.exists() and not overwrite:
+        raise InputError(f"The file already exists; choose another name or pass overwrite=True: {path}")
+    if not len(recording):
+        raise InputError(f"Expected a recording with steps, but episode {recording.episode.episode_id!r} has none.")
+    replay = replay or Replay(recording, detail=False)
+    rows = np.unique(np.linspace(0, len(recording) - 1, min(len(recording), MOST_STATES)).round().astype(np.int64))
+    page = _page(title or _title(recording), _block(recording, replay, rows))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with part_file(path) as part:
+        part.write_text(page, encoding="utf-8", newline="\n")
+    return HtmlReplay(path=path, bytes=path.stat().st_size, states=len(rows), steps=len(recording))
+
+
+def _title(recording: Recording) -> str:
+    task = recording.episode.task.replace("_", " ").capitalize() or "Recording"
+    return f"{task}, episode {recording.episode.episode_id}" if recording.episode.episode_id else task
+
+
+def _block(recording: Recording, replay: Replay, rows: np.ndarray) -> bytes:
+    payload = Payload()
+    parts = posed_parts(replay, rows)
+    add_home(payload, recording, parts)
+    times = recording.columns["time_ns"].astype(np.float64) * 1e-9
+    payload.add_array("time", times[rows] - times[0], TIME_S)
+    payload.add_array("step", rows, 1)
+    scene = replay.scene
+    bases = [recording.agent_column(k, "base_pose")[:, :3] for k in range(len(recording.agents))]
+    floor_y = scene.rooms[0].floor_y if scene is not None and scene.rooms else _lowest(bases)
+    stage = {**add_tracks(payload, replay, parts, rows), "floor_y": float(floor_y)}
+    return payload.packed({"stage": stage, "facts": _facts(recording, replay), **add_story(payload, recording, rows)})
+
+
+def _lowest(bases: list[Any]) -> float:
+    heights = np.concatenate([base[np.isfinite(base[:, 1]), 1] for base in bases] or [np.zeros(0)])
+    return float(heights.min()) if len(heights) else 0.0
+
+
+def _facts(recording: Recording, replay: Replay) -> dict[str, Any]:
+    """What the page says of the recording, by title; all of it text."""
+    episode, info = recording.episode, recording.episode.info
+    facts = {
+        "Task": episode.task.replace("_", " "),
+        "Episode": episode.episode_id,
+        "Scene": episode.scene,
+        "Seed": "" if episode.seed is None else episode.seed,
+        "Instruction": info.get("instruction", ""),
+        "Robot policy": info.get("policy", ""),
+        "Partner": info.get("partner", ""),
+        "Ended by": str(info.get("ended", "")).replace("_", " "),
+        "Steps": f"{len(recording):,}",
+        "Recorded by": episode.created_by,
+        "Not found": f"{len(replay.missing)} asset files: striped shapes stand in for them" if replay.missing else "",
+    }
+    return {name: str(value) for name, value in facts.items() if str(value)}
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------
+@cache
+def _built(name: str) -> str:
+    """A file of the page."""
+    source = files("h3data_viewers.html_replay") / "page" / name
+    if not source.is_file():
+        raise H3DataError(f"The page of HTML replays is not built. Hint: run make web (needs Node.js). Missing: {name}")
+    return source.read_text(encoding="utf-8").strip()
+
+
+def _page(title: str, block: bytes) -> str:
+    style, script = _built("replay.css"), _built("replay.js")
+    return Template(_built("replay.html")).substitute(
+        title=escape(title),
+        style=style,
+        style_hash=_digest(style),
+        script=script,
+        script_hash=_digest(script),
+        generator=f"h3data {version('h3data')}",
+        data=base64.b64encode(block).decode(),
+    )
+
+
+def _digest(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -1,0 +1,79 @@
+"""The data of an HTML replay in one compressed block: a JSON header, arrays as quantised differences, files as they are.
+
+```
+u32 length of the header | header: JSON, UTF-8 | arrays and files, one after the other
+```
+
+An array [T, C] is rounded to multiples of its step; differences between rows become unsigned numbers (zigzag), and equal
+bytes of all numbers lie together, column by column: neighbouring rows differ little, so most bytes are 0. The block is
+compressed with zlib, which browsers unpack themselves (`DecompressionStream`). `web/src/replay/payload.ts` reads it;
+tests/viewers/replay_payload.json is read by the tests of both.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.exporters.posed_parts import spans
+
+_LEVELS = 2**30
+"""Numbers stay below this, so that differences fit into 32 bits: a step that is too fine for the range is made coarser."""
+
+
+@dataclass
+class Payload:
+    """Arrays and files that are collected for a replay."""
+
+    entries: dict[str, dict[str, Any]] = field(default_factory=dict)
+    _parts: list[bytes] = field(default_factory=list)
+    _size: int = 0
+
+    def add_array(self, name: str, values: ArrayLike, step: float) -> str:
+        """Adds numbers [T, C] or [T], rounded to multiples of ``step``, and returns their name.
+
+        Rows with a number that is not finite are absent: they take no space and are read as NaN.
+        """
+        rows = np.asarray(values, np.float64)
+        rows = rows[:, None] if rows.ndim == 1 else rows
+        assert rows.ndim == 2
+        there: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=1)
+        step = max(step, float(np.abs(rows[there]).max(initial=0.0)) / _LEVELS)
+        levels = np.rint(_held(rows, there) / step).astype(np.int64)
+        changes = np.diff(levels, axis=0, prepend=0)
+        codes = np.where(changes < 0, -2 * changes - 1, 2 * changes).astype("<u4")
+        planes = next(p for p in (1, 2, 3, 4) if p == 4 or not (codes >> np.uint32(8 * p)).any())
+        data = b"".join(
+            ((codes >> np.uint32(8 * p)) & np.uint32(255)).astype(np.uint8).T.tobytes() for p in range(planes)
+        )
+        gaps = [[start, end] for start, end in spans(~there)]
+        self._add(name, data, shape=list(rows.shape), step=step, planes=planes, **({"gaps": gaps} if gaps else {}))
+        return name
+
+    def add_file(self, name: str, data: bytes) -> str:
+        """Adds bytes as they are and returns their name."""
+        self._add(name, data)
+        return name
+
+    def _add(self, name: str, data: bytes, **more: Any) -> None:
+        assert name not in self.entries
+        self.entries[name] = {"at": self._size, "bytes": len(data), **more}
+        self._parts.append(data)
+        self._size += len(data)
+
+    def packed(self, about: dict[str, Any]) -> bytes:
+        """The compressed block; ``about`` is plain JSON that goes into its header."""
+        header = json.dumps({"about": about, "entries": self.entries}, allow_nan=False, separators=(",", ":")).encode()
+        return zlib.compress(struct.pack("<I", len(header)) + header + b"".join(self._parts), 9)
+
+
+def _held(rows: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Rows with those that are absent replaced by the one before, or by zeros."""
+    latest = np.maximum.accumulate(np.where(there, np.arange(len(rows)), -1)) if len(rows) else np.zeros(0, np.intp)
+    return np.where(latest[:, None] < 0, 0.0, rows[latest])

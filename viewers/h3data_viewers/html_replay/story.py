@@ -1,0 +1,201 @@
+"""What happens in a recording, for the charts, the marks and the list of events of its replay."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.recording import Recording
+from h3data_viewers.html_replay.packing import Payload
+from h3data_viewers.rerun.floor_marks import object_goals, walking_goals
+from h3data_viewers.rerun.timeseries import agent_pair, curves_of, lanes_of
+
+CONTACT_LANES = {"collision": "robot and person", "robot_contact": "robot at an obstacle"}
+"""Flags of contact and the names of their lanes. A robot that slides along walls is no event: it happens all the time."""
+VERBS = {"pick": "picks up", "place": "puts down", "new_goal": "heads for a new goal", "found": "finds"}
+"""Kinds of events as parts of a sentence; others are shown as they are."""
+LEVELS = 4000
+"""Of a curve, from its least to its greatest value."""
+MOST_EVENTS = 4000
+_FOLLOWING_M = [1.0, 2.0]
+_TITLES = {
+    "dist_agents": "Distance",
+    "distance_l2": "Distance",
+    "geodesic_agents": "Walking distance",
+    "facing": "Facing the person (cosine)",
+    "reward": "Reward",
+}
+
+
+def add_story(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -> dict[str, Any]:
+    """Adds curves at ``rows``; returns the story of the page's manifest, whose steps are indices into ``rows``."""
+    return {
+        "charts": _charts(payload, recording, rows),
+        "lanes": _lanes(recording, rows),
+        "events": _events(recording, rows),
+        "contacts": _contacts(recording, rows),
+        "goals": _goals(recording),
+        "walks": _walks(recording, rows),
+    }
+
+
+# --- charts -----------------------------------------------------------------------------------------------------------
+def _charts(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
+    charts: list[dict[str, Any]] = []
+    curves, metres = curves_of(recording)
+    distances = [_curve(payload, _title(name), curves[name][rows]) for name in metres]
+    if distances:
+        band = _FOLLOWING_M if recording.episode.task == "social_nav" else None
+        charts.append({"title": "Distance between the agents", "unit": "m", "curves": distances, "band": band})
+    goals = recording.columns.get("metrics.at_goal")
+    if goals is not None and goals.ndim == 2:
+        title = f"Objects at their goals, of {goals.shape[1]}"
+        done = goals[rows].sum(1)
+        charts.append({"title": title, "unit": "", "curves": [_curve(payload, "objects", done)], "stairs": True})
+    speeds = [_curve(payload, a.name, _speed(recording, k)[rows]) for k, a in enumerate(recording.agents)]
+    if speeds:
+        charts.append({"title": "Speed", "unit": "m/s", "curves": speeds, "agents": True})
+    for name, values in curves.items():
+        if name not in metres and values.dtype.kind != "b":
+            charts.append({"title": _title(name), "unit": "", "curves": [_curve(payload, _title(name), values[rows])]})
+    return charts
+
+
+def _curve(payload: Payload, name: str, values: NDArray[Any]) -> dict[str, str]:
+    values = np.asarray(values, np.float64)
+    finite = values[np.isfinite(values)]
+    span = float(np.ptp(finite)) if len(finite) else 0.0
+    return {"name": name, "array": payload.add_array(f"curve_{len(payload.entries)}", values, max(span / LEVELS, 1e-9))}
+
+
+def _title(name: str) -> str:
+    return _TITLES.get(name) or _words(name).capitalize()
+
+
+def _speed(recording: Recording, agent: int) -> NDArray[np.float64]:
+    """Speed over the floor of an agent [m/s], over a fifth of a second, so that it does not flicker."""
+    time_s = recording.columns["time_ns"].astype(np.float64) * 1e-9
+    xz = recording.agent_column(agent, "base_pose")[:, [0, 2]].astype(np.float64)
+    if len(xz) < 2:
+        return np.zeros(len(xz))
+    before, after = np.maximum(np.arange(len(xz)) - 3, 0), np.minimum(np.arange(len(xz)) + 3, len(xz) - 1)
+    return np.linalg.norm(xz[after] - xz[before], axis=1) / np.maximum(time_s[after] - time_s[before], 1e-9)
+
+
+# --- lanes and events -------------------------------------------------------------------------------------------------
+def _lanes(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
+    lanes = dict(lanes_of(recording))
+    for flag, name in CONTACT_LANES.items():
+        values = recording.columns.get(f"metrics.{flag}")
+        if (
+            values is not None
+            and values.ndim == 1
+            and values.any()
+            and not (flag == "collision" and "encounter" in lanes)
+        ):
+            lanes[name] = ["contact" if value else "-" for value in values.tolist()]
+    out = []
+    for name, states in lanes.items():
+        kept = [states[row] for row in rows]
+        values = list(dict.fromkeys(kept))
+        runs = [[k, values.index(s)] for k, s in enumerate(kept) if k == 0 or s != kept[k - 1]]
+        out.append({"name": _words(name), "states": [_words(v) if v != "-" else "" for v in values], "runs": runs})
+    return out
+
+
+def _events(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
+    names = [agent.name for agent in recording.agents]
+    events: list[tuple[int, str, str]] = []
+    for event in recording.events:
+        who = names[event.agent] if 0 <= event.agent < len(names) else ""
+        # details of Habitat's events are JSON with numbers of users and objects
+        detail = f"({event.detail.strip('()')})" if event.detail and not event.detail.startswith("{") else ""
+        text = " ".join(part for part in (who, VERBS.get(event.kind, _words(event.kind)), event.target, detail) if part)
+        kind = (
+            "bad"
+            if "collision" in event.kind or "fail" in event.kind
+            else "good"
+            if event.kind == "success"
+            else "event"
+        )
+        events.append((event.step, kind, _sentence(text)))
+    for span in recording.skills:
+        who = names[span.agent] if 0 <= span.agent < len(names) else "?"
+        skill = f"{who}: {_words(span.name)} {span.target}".strip()
+        events.append((span.start_step, "skill", f"{skill}, started"))
+        if span.outcome != "running":
+            failed = span.outcome in ("failed", "aborted")
+            reason = f" ({span.reason})" if span.reason else ""
+            events.append((span.end_step, "skill-bad" if failed else "skill", f"{skill}, {span.outcome}{reason}"))
+    said = [event.step for event in recording.events if "collision" in event.kind]
+    touches = [row for row in _touches(recording) if all(abs(row - step) > 1 for step in said)]
+    events += [(row, "bad", "Robot and person touch") for row in touches]
+    events.sort(key=lambda event: event[0])
+    return [
+        {"step": int(np.clip(np.searchsorted(rows, step), 0, max(len(rows) - 1, 0))), "kind": kind, "text": text}
+        for step, kind, text in events[:MOST_EVENTS]
+    ]
+
+
+def _touches(recording: Recording) -> list[int]:
+    """Rows at which robot and person begin to touch."""
+    values = recording.columns.get("metrics.collision")
+    if values is None or values.ndim != 1:
+        return []
+    return np.flatnonzero(np.diff(values.astype(np.int8), prepend=0) > 0).tolist()
+
+
+# --- marks ------------------------------------------------------------------------------------------------------------
+def _contacts(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
+    """Where contacts begin: half-way between robot and person."""
+    pair = agent_pair(recording)
+    marks = []
+    for row in _touches(recording) if pair is not None else ():
+        points = [recording.agent_column(k, "base_pose")[row, :3].astype(np.float64) for k in pair or ()]
+        if np.isfinite(points).all():
+            step = int(np.clip(np.searchsorted(rows, row), 0, len(rows) - 1))
+            marks.append({"step": step, "text": "contact", "point": np.mean(points, 0).round(3).tolist()})
+    return marks
+
+
+def _goals(recording: Recording) -> list[dict[str, Any]]:
+    positions, labels = object_goals(recording)
+    info = recording.episode.info.get("goals")
+    named = info if isinstance(info, list | tuple) else []
+    goals = []
+    for k, position in enumerate(positions):
+        goal = named[k] if k < len(named) and isinstance(named[k], dict) else {}
+        label = str(goal.get("to") or (labels[k] if k < len(labels) else ""))
+        name = str(goal.get("object", ""))
+        named_goal = {"label": _thing(label), "object": name, "name": _thing(name)}
+        goals.append({"position": position.round(3).tolist(), **named_goal})
+    return goals
+
+
+def _walks(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
+    """The points that people walk to, and from which step on."""
+    return [
+        {
+            "agent": agent,
+            "steps": np.clip(np.searchsorted(rows, changed), 0, len(rows) - 1).tolist(),
+            "points": points.round(3).tolist(),
+        }
+        for agent, changed, points in walking_goals(recording)
+    ]
+
+
+# --- words ------------------------------------------------------------------------------------------------------------
+def _words(name: str) -> str:
+    return name.replace("_", " ").strip()
+
+
+def _thing(name: str) -> str:
+    """``kitchen_counter_0|top`` is called kitchen counter."""
+    return _words(re.sub(r"_\d+$", "", name.partition("|")[0]))
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,87 @@
+"""Who and what moves in a replay, as the page poses it: robots by joints, people by bones, everything else by poses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Robot
+from h3data.exporters.gltf_skin import local_poses
+from h3data.exporters.posed_parts import PosedPart
+from h3data.geometry import Array, heading_from_quat, quat_sign_continuous
+from h3data.replay import Replay
+from h3data_viewers.html_replay.packing import Payload
+from h3data_viewers.rigs import robot_rig
+
+POSITION_M, HEADING_RAD, JOINT, ROTATION = 5e-4, 5e-4, 2e-4, 1e-3
+"""Steps of what is stored: of positions, headings, joints of robots [rad or m] and components of quaternions. Live play
+sends joints as finely and rotations in steps of 1.4e-3."""
+_STILL = 1e-4
+_BODY_HEIGHT_M = {"robot": 0.95, "human": 1.95}
+
+
+def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: NDArray[np.integer]) -> dict[str, Any]:
+    """Adds the states at ``rows`` of the recording; returns the agents and things of the page's manifest.
+
+    ``parts`` are posed at ``rows`` (`h3data.exporters.posing.posed_parts`).
+    """
+    agents = [_agent(payload, replay, parts, k, rows) for k in range(len(replay.recording.agents))]
+    rigged = {f"{agent['name']}/{link['name']}" for agent in agents for link in agent.get("links", ())}
+    things: list[dict[str, Any]] = []
+    for part in parts:
+        if not len(part.mesh.faces) or (part.body is None and (part.skeleton is not None or part.name in rigged)):
+            continue
+        if part.skeleton is not None:
+            for joint, name in enumerate(part.skeleton.names):
+                _add_thing(payload, things, f"{part.name}/{name}", part.skeleton.poses[:, joint])
+        elif len(part.poses) > 1:
+            _add_thing(payload, things, part.name, part.poses)
+    return {"agents": agents, "objects": things}
+
+
+def _add_thing(payload: Payload, things: list[dict[str, Any]], name: str, poses: Array) -> None:
+    moves = float(np.ptp(poses, axis=0).max()) > _STILL if np.isfinite(poses).all() else True
+    track = _add_poses(payload, f"thing_{len(things)}", poses) if moves else ""
+    if track:
+        things.append({"name": name, "track": track})
+
+
+def _agent(
+    payload: Payload, replay: Replay, parts: list[PosedPart], k: int, rows: NDArray[np.integer]
+) -> dict[str, Any]:
+    agent = replay.recording.agents[k]
+    pose = replay.recording.agent_column(k, "base_pose")[rows].astype(np.float64)
+    payload.add_array(f"agent_{k}.base", pose[:, :3], POSITION_M)
+    payload.add_array(f"agent_{k}.heading", _unwrapped(heading_from_quat(pose[:, 3:])), HEADING_RAD)
+    entry: dict[str, Any] = {"name": agent.name, "kind": agent.kind, "height": _BODY_HEIGHT_M[agent.kind]}
+    model = replay.model(k) if agent.model else None
+    if isinstance(model, Robot):
+        payload.add_array(f"agent_{k}.joints", replay.robot_joints(k, model)[rows], JOINT)
+        return {**entry, **robot_rig(model)}
+    skin = next((p for p in parts if p.agent == k and p.body is None and p.skeleton is not None), None)
+    if skin is None or skin.skeleton is None:
+        return entry
+    local = local_poses(np.nan_to_num(skin.skeleton.poses), skin.skeleton.parents)
+    local[..., 3:] = quat_sign_continuous(local[..., 3:])
+    there = np.isfinite(skin.skeleton.poses).all((1, 2))
+    local[~there] = np.nan
+    varied = np.ptp(local[there, :, 3:], axis=0).max(-1) > _STILL if there.any() else np.zeros(local.shape[1], np.bool_)
+    bent = [j for j in range(1, local.shape[1]) if varied[j]]
+    _add_poses(payload, f"agent_{k}.root", local[:, 0])
+    payload.add_array(f"agent_{k}.quats", local[:, bent, 3:].reshape(len(local), -1), ROTATION)
+    return {**entry, "bones": [skin.skeleton.names[j] for j in (0, *bent)]}
+
+
+def _add_poses(payload: Payload, name: str, poses: Array) -> str:
+    """pose7 [T, 7] in two arrays: ``<name>.position`` and ``<name>.rotation``."""
+    payload.add_array(f"{name}.position", poses[:, :3], POSITION_M)
+    payload.add_array(f"{name}.rotation", quat_sign_continuous(np.asarray(poses[:, 3:], np.float64)), ROTATION)
+    return name
+
+
+def _unwrapped(heading: Array) -> Array:
+    out, there = np.array(heading, np.float64), np.isfinite(heading)
+    out[there] = np.unwrap(out[there])
+    return out
