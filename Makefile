@@ -7,7 +7,7 @@ GROUP ?=
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all test-browser check check-docs check-lerobot check-gltf web check-web format bench wheel clean
+.PHONY: setup demo test test-all test-browser check check-docs docs check-lerobot check-gltf web check-web format bench wheel clean
 
 setup: $(STAMP)
 
@@ -29,6 +29,11 @@ test-all: setup  ## the slow ones too
 test-browser: setup  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
 	$(BIN)/python -m pytest -m browser -rs
 	$(BIN)/python -m pytest -m slow -rs tests/viewers/hitl
+
+docs: setup  ## the documentation site, offline, into build/docs
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
+	@echo "build/docs/index.html"
 
 check-docs: setup  ## README and docs run as written, on small data (7 minutes)
 	$(BIN)/python -m pytest -n 2 -m slow tests/product/test_docs_run.py
@@ -60,15 +65,18 @@ check-gltf: setup  ## exported animations and scenes pass the Khronos validator 
 	NODE_PATH=$(GLTF)/node_modules node tests/export/gltf_validator/validate.js $(GLTF)/episode.glb `find $(GLTF)/scene -name '*.glb'`
 
 WEB := viewers/h3data_viewers/hitl/web
-web:  ## the page of h3data play, built into the package; needs node 20.19 or newer
+REPLAY := viewers/h3data_viewers/html_replay/page
+web:  ## the pages of h3data play and of HTML replays, built into the package; needs node 20.19 or newer
 	npm ci --silent --prefix $(WEB)
 	npm run build --silent --prefix $(WEB)
 
-check-web:  ## the page's types and tests, and whether the committed build is that of the committed sources
+check-web:  ## the pages' types and tests, and whether the committed builds are those of the committed sources
 	npm ci --silent --prefix $(WEB)
 	npm test --silent --prefix $(WEB)
-	npm run build --silent --prefix $(WEB) -- --outDir ../../../../out/web --emptyOutDir --logLevel error
-	diff -r $(WEB)/dist out/web || { echo "The committed page is not the one that its sources give: run make web and commit."; exit 1; }
+	npm run build:play --silent --prefix $(WEB) -- --outDir ../../../../out/web --emptyOutDir --logLevel error
+	npm run build:replay --silent --prefix $(WEB) -- --outDir ../../../../out/replay --emptyOutDir --logLevel error
+	{ diff -r $(WEB)/dist out/web && diff $(REPLAY)/replay.js out/replay/replay.js && diff $(REPLAY)/replay.css out/replay/replay.css; } \
+		|| { echo "A committed page is not the one that its sources give: run make web and commit."; exit 1; }
 
 check: setup  ## format, lint, types, layers, circles
 	$(BIN)/ruff format --check .

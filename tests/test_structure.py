@@ -13,6 +13,7 @@ PACKAGES = {
     "h3data": ROOT / "h3data",
     "sim_kinematic": ROOT / "sim_kinematic",
     "h3data_viewers": ROOT / "viewers" / "h3data_viewers",
+    "h3data_training": ROOT / "pipelines" / "h3data_training",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "bake": ROOT / "pipelines" / "bake",
 }

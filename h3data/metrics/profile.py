@@ -35,7 +35,8 @@ def _no_series(_recording: Recording) -> Series:
 class Profile:
     """One definition of the metrics of some tasks.
 
-    Example:
+    Example::
+
         def grasped(recording):
             return float((recording.columns["agent_0.grasp_body"] >= 0).any())
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
+from h3data.render.light.sources import LightMode
 from h3data_pipelines.command import Command, WalkOption
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ def generate(
     rule: Sequence[str] = (),
     camera: Sequence[str] = (),
     people: PeopleStyle = "skin",
+    light: LightMode = "flat",
     workers: int = 1,
     mcap: bool = False,
     share_scenes: bool = False,
@@ -116,6 +118,8 @@ def report(
     pictures: int = 6,
     assets: Sequence[AnyPath] = (),
     people: PeopleStyle = "skin",
+    light: LightMode = "baked",
+    replays: bool = False,
     zsc: Sequence[str] = (),
     study_model: Literal["auto", "poisson", "observation"] = "auto",
     failed: Literal["leave-out", "limit"] = "leave-out",
@@ -189,6 +193,7 @@ def rerender(
     *,
     camera: Sequence[str] = (),
     people: PeopleStyle = "skin",
+    light: LightMode = "baked",
     outputs: str = "rgb",
     assets: Sequence[AnyPath] = (),
     steps: str = "",
@@ -216,13 +221,16 @@ def view(
     out: AnyPath | None = None,
     camera: Sequence[str] = (),
     people: PeopleStyle = "skin",
+    light: LightMode = "baked",
     assets: Sequence[AnyPath] = (),
+    open: bool = False,
     force: bool = False,
 ) -> Path:
-    """Writes a recording, or two side by side, as a Rerun file; options as of ``h3data view``.
+    """Writes a recording as a Rerun file (or two side by side), or as an HTML file that plays it in a browser; options as
+    of ``h3data view``.
 
     Returns:
-        The .rrd file.
+        The .rrd or .html file.
 
     Raises:
         InputError: an option is wrong, or the file exists.

@@ -18,6 +18,7 @@ from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.recording import Recording
 from h3data.recording.storage import AnyPath, RemotePath, local, remove_tree
+from h3data.render.light.sources import LightMode
 
 P = TypeVar("P", Path, RemotePath, AnyPath)
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
@@ -29,6 +30,10 @@ AssetsOption = Annotated[
 DryRunFlag = Annotated[bool, tyro.conf.arg(help="Print what would be done, and do nothing.")]
 PeopleOption = Annotated[
     PeopleStyle, tyro.conf.arg(help="How people are shown: as skin, as collision capsules, or as bones.")
+]
+LightOption = Annotated[
+    LightMode,
+    tyro.conf.arg(help="Light in pictures: baked, from windows, sun and lamps; or flat, the same everywhere."),
 ]
 WalkOption = Literal["paper", "natural"]
 StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -164,6 +165,13 @@ def test_refusals_say_what_there_is(query: str, said: str, folders, capsys) -> N
     if said not in ("one query", "syntax error"):
         assert "events: dataset, episode_index, step, agent, kind, target, detail" in error
         assert '"metrics.dist_agents"' in error
+
+
+def test_a_folder_stands_for_the_datasets_below_it(folders, tmp_path: Path, capsys) -> None:
+    for k, folder in enumerate(folders):
+        shutil.copytree(folder, tmp_path / "kept" / f"{k:06d}")
+    counts = ask(capsys, "select dataset, count(*) from steps group by 1 order by 1", tmp_path / "kept")
+    assert [(Path(name).name, count) for name, count in counts] == [("000000", 26), ("000001", 4)]
 
 
 def test_what_is_no_dataset(folders, tmp_path: Path, capsys) -> None:

@@ -17,7 +17,7 @@ from h3data_pipelines.parsing import parse
 from tests.paths import DOCS, ROOT
 
 BLOCK = re.compile(r"^ *```(\w+)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("tutorials/*.md"))]
 RUN = ("python.md",)
 """Pages whose Python blocks run one after the other, as a reader runs them."""
 
@@ -75,3 +75,9 @@ def test_pages_run_as_written(name: str, tmp_path: Path, monkeypatch: pytest.Mon
     for kind, text in BLOCK.findall((DOCS / name).read_text(encoding="utf-8")):
         if kind == "python":
             exec(compile(text, name, "exec"), {"__name__": "__main__"})
+
+
+def test_the_site_leads_to_every_page() -> None:
+    listed = re.findall(r"^[a-z][\w/-]*$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
+    written = [page.relative_to(DOCS).with_suffix("").as_posix() for page in PAGES[1:]]
+    assert sorted(set(listed) - {"reference/python", "reference/commands"}) == sorted(set(written) - {"index"})

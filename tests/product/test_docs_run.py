@@ -38,6 +38,7 @@ BLOCK = re.compile(r"^ *```(python|bash|sh)\n(.*?)^ *```", re.MULTILINE | re.DOT
 NOT_RUN = {
     "extending.md": "test_extending.py runs it",
     "gpu.md": "needs a CUDA device; tests marked gpu run its calls",
+    "index.md": "shows commands of README",
     "headset.md": "needs a headset; tests/viewers/hitl/test_browser.py plays in an emulated one",
     "play.md": "its commands wait for players; tests/viewers/hitl plays them",
     "study.md": "its commands wait for participants; tests/viewers/hitl/studies takes part",
@@ -148,7 +149,8 @@ def hub(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iter
 
 
 def pages() -> list[Path]:
-    return [page for page in [ROOT / "README.md", *sorted(DOCS.glob("*.md"))] if page.name not in NOT_RUN]
+    written = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("tutorials/*.md"))]
+    return [page for page in written if page.name not in NOT_RUN]
 
 
 def lines_of(text: str) -> Iterator[str]:

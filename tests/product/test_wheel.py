@@ -45,6 +45,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         "h3data",
         "sim_kinematic",
         "h3data_pipelines",
+        "h3data_training",
         "h3data_viewers",
     }
     assert "h3data/_datasets/bodies/female_0.npz" in names
@@ -52,6 +53,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         names
     )
     assert {"h3data_viewers/html_report/page/page.css", "h3data/metrics/paper/published.toml"} <= set(names)
+    assert {f"h3data_viewers/html_replay/page/replay.{kind}" for kind in ("js", "css", "html")} <= set(names)
     page = {name.rpartition("/hitl/web/")[2] for name in names if "/hitl/web/" in name}
     assert "dist/index.html" in page
     assert all(name.startswith("dist/") for name in page), page

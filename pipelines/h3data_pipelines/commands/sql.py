@@ -19,7 +19,6 @@ import tyro
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.files import part_file
-from h3data.recording.storage import place
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
 
 if TYPE_CHECKING:
@@ -77,7 +76,7 @@ class Sql:
     query: tyro.conf.Positional[str]
     """One SELECT (also FROM ..., WITH ..., DESCRIBE, SUMMARIZE, EXPLAIN) in DuckDB's SQL."""
     datasets: tyro.conf.Positional[tuple[Path, ...]]
-    """Datasets, as folders or URIs (s3://bucket/ds)."""
+    """Datasets, as folders or URIs (s3://bucket/ds), and folders of datasets (recordings/ of h3data evaluate --keep)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write all rows to this .csv or .parquet instead of showing them."""
     profile: str | None = None
@@ -87,10 +86,11 @@ class Sql:
 
     def run(self) -> Outcome:
         from h3data.recording import Dataset, open_recording
+        from h3data.recording.finding import find_sources
 
         if not self.datasets:
             raise InputError('Expected at least one dataset: h3data sql "select ..." DATASET')
-        opened = {str(place(path)): open_recording(path) for path in self.datasets}
+        opened = {str(path): open_recording(path) for path in find_sources(self.datasets)}
         for path, recording in opened.items():
             if not isinstance(recording, Dataset):
                 raise InputError(

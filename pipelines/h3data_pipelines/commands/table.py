@@ -23,6 +23,7 @@ from h3data_pipelines.commands.validating import Validate
 from h3data_pipelines.hub.card import Card
 from h3data_pipelines.hub.pulling import Pull
 from h3data_pipelines.hub.pushing import Push
+from h3data_pipelines.learning.training import Train
 from h3data_pipelines.machine.bench import Bench
 from h3data_pipelines.machine.completion import Completion
 from h3data_pipelines.machine.doctor import Doctor
@@ -36,6 +37,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "demo": Demo,
     "generate": Generate,
     "evaluate": Evaluate,
+    "train": Train,
     "play": Play,
     "import": Import,
     "export": Export,

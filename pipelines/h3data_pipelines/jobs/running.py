@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, TypeVar
 from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Recording
+from h3data.render.light.sources import LightMode
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import failed_recording, is_failed
 
@@ -54,6 +55,7 @@ class Filming:
     threads: int
     """Threads that render, in each process."""
     people: PeopleStyle = "skin"
+    light: LightMode = "flat"
 
     def of(self, job: Job) -> Path:
         """Folder for the videos of an episode."""
@@ -74,7 +76,12 @@ def film_job(job: Job, filming: Filming) -> tuple[Recording, list[EpisodeVideo]]
     filming.of(job).mkdir()
     try:
         videos = render_videos(
-            recording, filming.cameras, filming.of(job), threads=filming.threads, people=filming.people
+            recording,
+            filming.cameras,
+            filming.of(job),
+            threads=filming.threads,
+            people=filming.people,
+            light=filming.light,
         )
     except InputError as error:
         raise InputError(f"Episode {job.index}: {error}") from None

@@ -134,6 +134,15 @@ def _pictures() -> None:
                 convert(images["instance"])
 
 
+def _light() -> None:
+    from h3data.mesh.primitives import box_mesh
+    from h3data.render import RenderInstance
+    from h3data.render.light.bake import lit_scene
+    from h3data.render.light.sources import LightSources
+
+    lit_scene([box_mesh((1, 1, 1))], [RenderInstance(0, np.eye(4))], [0], LightSources())
+
+
 def _people() -> None:
     from h3data.bodies.people.humanoid_file import load_humanoid
     from h3data.bodies.people.planted_gait import planted_states, pose_planted
@@ -166,6 +175,7 @@ def _task(name: str, steps: int | None = None) -> Callable[[], None]:
 WORK: dict[str, Callable[[], None]] = {
     "pictures": _pictures,  # the longest first
     "people": _people,
+    "light": _light,
     "rearrange": _task("rearrange"),
     "social_nav": _task("social_nav", 60),
     "wander": _task("wander", 60),

@@ -1,0 +1,145 @@
+"""The documentation site: `make docs` builds it offline from the pages of this folder into build/docs.
+
+The references of Python and of the commands are written by the build, from `__all__` of each module and from `--help`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import inspect
+import io
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import h3data
+
+HERE = Path(__file__).parent
+WRITTEN = HERE / "reference" / "written"
+"""Pages that the build writes; git ignores them."""
+MODULES = {
+    "h3data": "Everything that most scripts need.",
+    "h3data.recording": "Recordings, their two stores, datasets and windows for learners.",
+    "h3data.replay": "Recordings brought back: poses at any step, cameras, pictures.",
+    "h3data.render": "Scenes and cameras to depth, ids, normals and RGB.",
+    "h3data.scene": "Homes, generated or read, and the floor on which agents can walk.",
+    "h3data.bodies": "People and robots: skeletons, skins, motion, kinematics.",
+    "h3data.metrics": "Metrics of recordings and tables of them.",
+    "h3data.stats": "Statistics for studies and comparisons.",
+}
+
+ASTERISK = re.compile(r"(``.*?``|`[^`]*`)|\*")
+"""Code, which stays, or an asterisk outside of it."""
+
+project, author = "h3data", "the h3data authors"
+project_copyright = "the h3data authors, MIT licence"
+version = release = h3data.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton", "sphinx_design"]
+default_role = "literal"
+myst_enable_extensions = ["colon_fence"]
+myst_heading_anchors = 4
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True, "show-inheritance": True}
+python_use_unqualified_type_names = True
+copybutton_exclude = ".linenos, .gp, .go, .c1"
+suppress_warnings = ["misc.highlighting_failure"]  # there is no lexer for CSV
+
+html_theme = "furo"
+html_title = f"h3data {release}"
+html_static_path, html_css_files = ["_static"], ["site.css"]
+html_show_sphinx = False
+html_copy_source = False
+html_theme_options = {
+    "light_css_variables": {"color-brand-primary": "#0b6e63", "color-brand-content": "#0b6e63"},
+    "dark_css_variables": {"color-brand-primary": "#5fd0c1", "color-brand-content": "#5fd0c1"},
+}
+
+
+def setup(app: Any) -> None:
+    """Called by Sphinx."""
+    app.connect("builder-inited", lambda _: write_references())
+    app.connect("autodoc-process-docstring", as_restructured_text, priority=400)
+    app.connect("autodoc-process-docstring", without_types, priority=600)  # after napoleon's 500
+    app.connect("autodoc-process-signature", with_short_types)
+
+
+_attributes: dict[str, list[str]] = {}
+
+
+def as_restructured_text(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
+    """Escapes the asterisks of shapes such as [*, 3]; a constant without a docstring does not get that of its type."""
+    if what == "data" and "\n".join(lines).strip() == str(inspect.getdoc(found)).strip():
+        lines.clear()
+    lines[:] = [ASTERISK.sub(lambda found: found[1] or r"\*", line) for line in lines]
+    if what in ("attribute", "property", "data"):
+        _attributes[name] = list(lines)
+
+
+def without_types(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
+    """Attributes as they are written: napoleon takes what comes before a colon for their type."""
+    if name in _attributes:
+        lines[:] = _attributes.pop(name)
+
+
+def with_short_types(app: Any, what: str, name: str, found: Any, options: Any, signature: str, returns: str) -> Any:
+    """Arrays by the names that the source has for them."""
+    return tuple(text and _short(text) for text in (signature, returns))
+
+
+def _short(text: str) -> str:
+    text = re.sub(
+        r"~numpy\.ndarray\[tuple\[~typing\.Any, \.\.\.\], ~numpy\.dtype\[~?([^\]]*)\]\]", r"NDArray[\1]", text
+    )
+    return re.sub(r"~?(?:[a-z_0-9]+\.)+([A-Za-z_]\w*)", r"\1", text)
+
+
+def write_references() -> None:
+    """Writes a page for each module and one for each command."""
+    shutil.rmtree(WRITTEN, ignore_errors=True)
+    for name, about in MODULES.items():
+        _write(WRITTEN / "python" / f"{name}.md", _module_page(name, about))
+    from h3data_pipelines.command import Group
+    from h3data_pipelines.commands.table import COMMANDS
+
+    os.environ["COLUMNS"] = "100"
+    for name, command in COMMANDS.items():
+        parts = [[name, part] for part in command.commands] if isinstance(command, Group) else [[name]]
+        page = f"# h3data {name}\n\n"
+        for words in parts:
+            page += (f"## {' '.join(words)}\n\n" if len(parts) > 1 else "") + f"```text\n{_help(words)}```\n\n"
+        _write(WRITTEN / "commands" / f"{name}.md", page)
+
+
+def _module_page(name: str, about: str) -> str:
+    module = importlib.import_module(name)
+    page = f"# {name}\n\n{about}\n\n```{{eval-rst}}\n.. py:module:: {name}\n"
+    for member in sorted(module.__all__, key=lambda member: (not member[0].isupper(), member)):
+        found = getattr(module, member)
+        elsewhere = [m for m in MODULES if m != "h3data" and member in importlib.import_module(m).__all__]
+        if name == "h3data" and elsewhere:
+            page += f"\n* :py:obj:`{member} <{elsewhere[0]}.{member}>`\n"
+            continue
+        if inspect.isclass(found):
+            page += f"\n.. autoclass:: {name}.{member}\n"
+        elif callable(found):
+            page += f"\n.. autofunction:: {name}.{member}\n"
+        else:
+            page += f"\n.. autodata:: {name}.{member}\n   :no-value:\n"
+    return page + "```\n"
+
+
+def _help(words: list[str]) -> str:
+    from h3data_pipelines.cli import main
+
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        main([*words, "--help"])
+    return out.getvalue()
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
