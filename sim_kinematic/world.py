@@ -35,7 +35,7 @@ from sim_kinematic.contact.frames import body_frames, body_shapes, shape_frames
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
-from sim_kinematic.motion.step import drive_robots, first_not_finite
+from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
 Rows = NDArray[np.intp]
 
@@ -108,6 +108,7 @@ class World:
         base: BaseSpec | None = None,
         walker: WalkerSpec | None = None,
         person_radius_m: float = 0.25,
+        solid: bool = False,
     ) -> None:
         """
         Args:
@@ -116,6 +117,7 @@ class World:
             base: How robots drive, as far as their own base does not say (`base_of`).
             walker: How people walk.
             person_radius_m: Radius of a person who drives.
+            solid: Whether people who drive slide along the discs of others, where those were before the step.
 
         Raises:
             InputError: W is not at least 1.
@@ -126,7 +128,7 @@ class World:
         rules, self.walker = base or HOME_BASE, walker or WalkerSpec()
         self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
         """Discs and limits of each robot; the rules for people."""
-        self._person_radius_m = person_radius_m
+        self._person_radius_m, self._solid = person_radius_m, solid
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
         self.state = WorldState.zeros(
@@ -211,7 +213,10 @@ class World:
                 elif isinstance(command, Stride):
                     move_people(own, values, command.headings[at], self.walker)
                 else:
-                    self.blocked[at, k] = drive_people(own, free, values, self.walker, radius_m=self._person_radius_m)
+                    others = self._discs_beside(k)[at] if self._solid else None
+                    self.blocked[at, k] = drive_people(
+                        own, free, values, self.walker, radius_m=self._person_radius_m, others=others
+                    )
                 draw_arms(own, free, self.roster[k].body, self.walker.arms)  # type: ignore[arg-type]
             if not alone:
                 self.state.put(rows, part)
@@ -267,6 +272,21 @@ class World:
                 )
             checked.append(Stride(values, command.headings) if isinstance(command, Stride) else type(command)(values))
         return checked
+
+    def _discs_beside(self, agent: int) -> Array:
+        """Discs ``(x, z, radius)`` of all others before the step, [W, N, 3]."""
+        discs = [np.zeros((self.worlds, 0, 3))]
+        for k, (member, was) in enumerate(zip(self.roster, self.before.agents, strict=True)):
+            if k == agent:
+                continue
+            is_robot = member.kind == "robot"
+            offsets = self.bases[k].disc_offsets_m if is_robot else (0.0,)
+            discs.append(
+                discs_at(
+                    was.xz, was.heading, offsets, self.bases[k].disc_radius_m if is_robot else self._person_radius_m
+                )
+            )
+        return np.concatenate(discs, axis=1)
 
     def _keep(self, agent: int, command: Keep) -> None:
         own = self.state.agents[agent]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from h3data.recording.episodes import Episodes
     from h3data.recording.mcap.read import read_mcap
     from h3data.recording.mcap.recover import Recovery, recover_mcap
-    from h3data.recording.mcap.writer import RecordingWriter, write_mcap
+    from h3data.recording.mcap.writer import RecordingWriter, pack_mcap, write_mcap
     from h3data.recording.opening import open_recording, open_steps
     from h3data.recording.parquet.dataset import Dataset
     from h3data.recording.parquet.lerobot import rebuild_meta
@@ -39,6 +39,7 @@ _HOMES = {
     "DatasetWriter": "parquet.writer",
     "rebuild_meta": "parquet.lerobot",
     "RecordingWriter": "mcap.writer",
+    "pack_mcap": "mcap.writer",
     "write_mcap": "mcap.writer",
     "Recovery": "mcap.recover",
     "read_mcap": "mcap.read",
@@ -71,6 +72,7 @@ __all__ = [
     "WindowDataset",
     "open_recording",
     "open_steps",
+    "pack_mcap",
     "read_mcap",
     "rebuild_meta",
     "recordings_equal",

@@ -53,7 +53,7 @@ def _search(
     move does so as `drive_base`, of which ``slide`` are radius, iterations, tolerances and longest step."""
     nx, nz = left.shape
     seen = np.zeros((nx, nz, HEADINGS), np.bool_)
-    sector = 2.0 * math.pi / HEADINGS
+    sector, way_poses = 2.0 * math.pi / HEADINGS, np.empty((steps, 3))
     poses[0, 0], poses[0, 1], poses[0, 2] = x, z, heading
     parents[0], moved[0], count = -1, -1, 1
     heap = [(0.0, 0.0, 0)]
@@ -73,23 +73,28 @@ def _search(
             if count >= len(parents):
                 return -1
             nx_, nz_, nh = px, pz, ph
-            free = True
-            for _ in range(steps):
+            for s in range(steps):
                 if slides and node == 0:
                     nx_, nz_, nh, _ = drive_base(
                         sdf, origin, cell, nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt, offsets, *slide
                     )
-                    continue
-                nx_, nz_, nh = integrate(nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt)
-                if not is_clear(sdf, origin, cell, nx_, nz_, nh, offsets, radius):
-                    free = False
-                    break
+                else:
+                    nx_, nz_, nh = integrate(nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt)
+                    way_poses[s, 0], way_poses[s, 1], way_poses[s, 2] = nx_, nz_, nh
             gone = math.hypot(nx_ - px, nz_ - pz) + abs(nh - ph) * grid_cell
-            if not free or gone < SLIDES_M:
+            if gone < SLIDES_M:
                 continue
             a, b = int((nx_ - grid_origin[0]) / grid_cell), int((nz_ - grid_origin[1]) / grid_cell)
             c = int(math.floor(nh / sector + 0.5)) % HEADINGS
             if a < 0 or b < 0 or a >= nx or b >= nz or seen[a, b, c] or not math.isfinite(left[a, b]):
+                continue
+            # only now, where it leads to anything new: to ask the floor is what costs
+            free = True
+            for s in range(0 if slides and node == 0 else steps):
+                if not is_clear(sdf, origin, cell, way_poses[s, 0], way_poses[s, 1], way_poses[s, 2], offsets, radius):
+                    free = False
+                    break
+            if not free:
                 continue
             for d in range(len(discs)):
                 if least_gap(nx_, nz_, nh, discs[d, 0], discs[d, 1], hull, discs[d, 2]) < 0.0:

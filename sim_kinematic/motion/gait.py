@@ -17,7 +17,7 @@ from h3data.geometry import Array
 from h3data.kernels import kernel
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState
-from sim_kinematic.motion.step import drive_robots, per_world, wrap_angle
+from sim_kinematic.motion.step import drive_robots, keep_worlds_apart, per_world, wrap_angle
 
 if TYPE_CHECKING:
     from h3data.bodies.people.clips import Clip
@@ -99,6 +99,7 @@ def drive_people(
     *,
     radius_m: float = 0.25,
     backwards: bool = False,
+    others: Array | None = None,
 ) -> NDArray[np.bool_]:
     """Move a person in all their worlds by ``action`` [W, 2], in place: a disc that slides along obstacles.
 
@@ -109,9 +110,10 @@ def drive_people(
         spec: How they walk.
         radius_m: Radius of the disc.
         backwards: Whether a negative speed walks backwards; else it stands.
+        others: Discs ``(x, z, radius)`` of others, along which it slides too, [W, N, 3]; None: it walks through them.
 
     Returns:
-        Where they touched an obstacle, [W].
+        Where they touched an obstacle or others, [W].
 
     Raises:
         InputError: the actions have another shape, or one is not finite; then nothing has moved.
@@ -119,7 +121,13 @@ def drive_people(
     action = per_world(action, state, width=2)
     touched, before = np.zeros(len(action), np.bool_), state.xz.copy()
     disc = RobotState(xz=state.xz, heading=state.heading, contact=touched, joints=np.zeros((len(action), 0)))
-    drive_robots(disc, free, action, _disc(spec.speed_mps, spec.turn_rad_s, radius_m, backwards))
+    base = _disc(spec.speed_mps, spec.turn_rad_s, radius_m, backwards)
+    drive_robots(disc, free, action, base)
+    if others is not None:
+        keep_worlds_apart(
+            free.sdf, free.origin, free.cell_m, before, state.xz, touched, others, radius_m,
+            radius_m - base.clearance_tolerance_m,
+        )  # fmt: skip
     _step_cycles(
         state.distance,
         state.set_off,

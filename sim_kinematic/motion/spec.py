@@ -176,6 +176,9 @@ class SocialNavSpec:
     """As Habitat's navigation mesh for Spot, which both agents use (spec/habitat.md 1.2)."""
     robot: BaseSpec = HOME_BASE
     human: WalkerSpec = NATURAL_WALKER
+    solid_agents: bool = field(default=False, repr=False)
+    """Whether a person under commands slides along the discs of others as along walls: the rule where people play live. Left
+    out of ``repr``, from which episodes have their identity."""
 
 
 @dataclass(frozen=True, kw_only=True)

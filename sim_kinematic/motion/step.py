@@ -23,6 +23,9 @@ from sim_kinematic.motion.habitat_slide import slide_as_habitat
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide
 from sim_kinematic.motion.state import AgentState, RobotState
 
+APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6
+"""How often discs push each other apart, and a distance that counts as none."""
+
 
 @kernel(error_model="numpy")
 def wrap_angle(angle):
@@ -118,6 +121,48 @@ def drive_base(
 
 
 @kernel(error_model="numpy")
+def keep_apart(sdf, origin, cell, x, z, tx, tz, discs, radius, limit):
+    """Where a disc that wants to get from (x, z) to (tx, tz) gets beside others, discs ``(x, z, radius)`` [N, 3]:
+    ``(x, z, touched)``. It slides along them as along walls; who is too near already may leave, and gets no nearer.
+
+    ``radius`` is its own and ``limit`` the least clearance from walls [m].
+    """
+    sx, sz, touched = tx, tz, False
+    for _ in range(APART_ITERATIONS):
+        free = True
+        for k in range(len(discs)):
+            ox, oz = discs[k, 0], discs[k, 1]
+            least = min(radius + discs[k, 2], math.hypot(x - ox, z - oz))
+            far = math.hypot(sx - ox, sz - oz)
+            if 1e-9 < far < least - APART_TOLERANCE_M:
+                sx, sz = ox + (sx - ox) / far * least, oz + (sz - oz) / far * least
+                free, touched = False, True
+        if free:
+            break
+    if not touched:
+        return tx, tz, False
+    for k in range(len(discs)):
+        least = min(radius + discs[k, 2], math.hypot(x - discs[k, 0], z - discs[k, 1]))
+        if math.hypot(sx - discs[k, 0], sz - discs[k, 1]) < least - 2.0 * APART_TOLERANCE_M:
+            return x, z, True
+    # what pushes them aside pushes them neither into walls nor farther than they wanted to walk
+    far = math.hypot(sx - x, sz - z) > math.hypot(tx - x, tz - z) + APART_TOLERANCE_M
+    if far or sample_sdf(sdf, origin, cell, sx, sz) < limit:
+        return x, z, True
+    return sx, sz, True
+
+
+@kernel(error_model="numpy")
+def keep_worlds_apart(sdf, origin, cell, before, xz, contact, discs, radius, limit):
+    """`keep_apart` in W worlds: ``before`` and ``xz`` [W, 2], ``contact`` [W], ``discs`` [W, N, 3]; in place."""
+    for w in range(len(xz)):
+        xz[w, 0], xz[w, 1], touched = keep_apart(
+            sdf, origin, cell, before[w, 0], before[w, 1], xz[w, 0], xz[w, 1], discs[w], radius, limit
+        )
+        contact[w] = contact[w] or touched
+
+
+@kernel(error_model="numpy")
 def first_not_finite(rows):
     """The first row of ``rows`` [W, n] with NaN or infinity, -1 if there is none."""
     for w in range(rows.shape[0]):
@@ -201,6 +246,16 @@ def drive_robots(
         raise InputError(f"Unknown slide {spec.slide!r}. Expected one of: {', '.join(get_args(Slide))}.")
     if broken >= 0:
         raise InputError(f"Actions must be finite. That of world {broken} is {action[broken]}.")
+
+
+def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], radius_m: float) -> np.ndarray:
+    """Discs ``(x, z, radius)`` [W, D, 3] of a base with its discs at D offsets along its axis, at ``xz`` [W, 2]."""
+    along = _offsets(tuple(offsets_m))
+    discs = np.empty((len(xz), len(along), 3))
+    discs[:, :, 0] = xz[:, :1] + np.cos(heading)[:, None] * along
+    discs[:, :, 1] = xz[:, 1:] - np.sin(heading)[:, None] * along
+    discs[:, :, 2] = radius_m
+    return discs
 
 
 @lru_cache(maxsize=64)

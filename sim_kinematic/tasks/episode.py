@@ -86,9 +86,11 @@ class Outcome:
 
 
 def rules_dict(spec: Any) -> dict[str, Any]:
-    """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, as in those
-    made before there were strides."""
+    """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, and rules where
+    nobody is solid none of that, as in those made before there were such rules."""
     rules = asdict(spec)
+    if not rules.get("solid_agents", True):
+        del rules["solid_agents"]
     human = rules.get("human")
     if isinstance(human, dict) and human.get("stride", ...) is None:
         del human["stride"]

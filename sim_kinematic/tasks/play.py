@@ -110,8 +110,9 @@ class WorldPlay:
             raise InputError(f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.")
         self.task, self.spec, self.measure, self.options = task, spec, measure, dict(options or {})
         self.world = World(
-            roster, worlds=worlds, base=spec.robot, walker=spec.human, person_radius_m=spec.agent_radius_m
-        )
+            roster, worlds=worlds, base=spec.robot, walker=spec.human, person_radius_m=spec.agent_radius_m,
+            solid=getattr(spec, "solid_agents", False),
+        )  # fmt: skip
         self.episodes: list[Episode] = []
         """What each world plays; empty before the first `begin`."""
         self.steps = np.zeros(self.world.worlds, np.int64)

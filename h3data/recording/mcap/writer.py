@@ -20,8 +20,8 @@ class RecordingWriter(LogWriter):
     """Writes one episode while it happens, then packs the file tightly.
 
     A log that was flushed along the way consists of small chunks and is twice the size it could be. `close` gives it its
-    final name, reads it back and replaces it by the file `write_mcap` would make of it: 15 ms for 1,500 steps. Pass
-    ``compact=False`` to skip that. A whole file exists under the name throughout; a full disk leaves the small chunks.
+    final name, reads it back and replaces it by the file `write_mcap` would make of it (`pack_mcap`). Pass ``compact=False`` to
+    skip that. A whole file exists under the name throughout; a full disk leaves the small chunks.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class RecordingWriter(LogWriter):
         due = self._compact and not self.closed
         path = super().close(info=info)
         if due and self._blocks > 1:
-            _compact(path, t0_unix_ns=self._t0, share_in=self._share_in, chunk_bytes=self._chunk_bytes)
+            pack_mcap(path, t0_unix_ns=self._t0, share_in=self._share_in, chunk_bytes=self._chunk_bytes)
         return path
 
 
@@ -94,8 +94,17 @@ def write_mcap(
     return writer.path
 
 
-def _compact(path: Path, *, t0_unix_ns: int, share_in: str | os.PathLike[str] | None, chunk_bytes: int) -> None:
-    """Replaces a finished log by an equal one with large chunks; without room for it on the disk, leaves it as it is."""
+def pack_mcap(
+    path: Path,
+    *,
+    t0_unix_ns: int | None = None,
+    share_in: str | os.PathLike[str] | None = None,
+    chunk_bytes: int = CHUNK_BYTES,
+) -> None:
+    """Replaces a finished log by an equal one with large chunks; without room for it on the disk, leaves it as it is.
+
+    Whoever must not lose a tenth of a second when an episode ends writes with ``compact=False`` and does this elsewhere.
+    """
     packed = path.with_name(f".{path.name}.compact")
     try:
         recording = read_mcap(path)

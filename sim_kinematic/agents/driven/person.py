@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -57,6 +57,8 @@ class DrivenPerson(PersonActor):
     """Of the disc that keeps clear of obstacles."""
     actors: Sequence[PersonActor | RobotActor] = ()
     """All agents of the episode, by number."""
+    others_discs: Callable[[], Array] | None = None
+    """Discs ``(x, z, radius)`` [N, 3] of the others, along which the person slides under commands; None: they do not."""
     command: tuple[float, float] = (0.0, 0.0)
     """Forward and left turn of the last step, -1..1; zero while a skill runs."""
     _shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
@@ -217,18 +219,20 @@ class DrivenPerson(PersonActor):
 
     # --- one step under a command -------------------------------------------------------------------------------------
     def _drive(self, command: PersonCommand) -> None:
-        """Moves the person by one step; nothing moves that would touch an agent that the person avoids."""
+        """Moves the person by one step; nothing moves that would touch an agent that the person avoids. Where others are solid,
+        their discs decide, as where the player's page shows the person by then."""
         self._drives, self.person.look_at = True, None
         gait, before = self._gait_here(), self._posture()
         self._lead(command)
         stopped = gait.take([0])
         for velocity in ((command.forward, command.turn), (0.0, 0.0)):
             self.command = velocity
+            others = None if self.others_discs is None else self.others_discs()[None]
             drive_people(
-                gait, self.free, np.array([velocity]), self.spec, radius_m=self.radius_m, backwards=True
+                gait, self.free, np.array([velocity]), self.spec, radius_m=self.radius_m, backwards=True, others=others
             )  # fmt: skip
             self._show(gait)
-            if not self.meets():
+            if others is not None or not self.meets():
                 break
             self._gait = gait = stopped.take([0])
             self._take(before)

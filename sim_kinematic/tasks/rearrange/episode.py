@@ -86,6 +86,9 @@ class RearrangeSpec:
     """Whether a person heeds the one robot that they are with, as all agents heed each other where there are more. By default
     with every base but Habitat's, whose planners heed nobody. Left out of ``repr``, from which episodes have their identity."""
 
+    solid_agents: bool = field(default=False, repr=False)
+    """As in `sim_kinematic.motion.spec.SocialNavSpec`; a person under commands then heeds one robot too."""
+
     def __post_init__(self) -> None:
         if self.people_give_way is None:
             object.__setattr__(self, "people_give_way", self.robot.slide != "habitat")

@@ -31,9 +31,11 @@ from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.state import NOBODY, WorldState
+from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.tasks.episode import agent_base
 from sim_kinematic.tasks.play import Columns
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
@@ -210,13 +212,19 @@ class RearrangePlay:
         is_pair = kinds_of(world.roster) == PAIR
         driven = any(policy.takes_commands for policy in self.policies if policy.kind == "human")
         alone = len(self.actors) == 1 or (is_pair and (driven or not world.spec.people_give_way))
-        self.encounters = AgentContactTracker(world.roster, self.actors, people_see_robot=not (alone and is_pair))
+        solid = world.spec.solid_agents and driven
+        self.encounters = AgentContactTracker(
+            world.roster, self.actors, people_see_robot=solid or not (alone and is_pair)
+        )
         self.right_of_way = None if alone else RightOfWay(world.free, self.actors)
         for actor in self.actors:
             actor.agreed = not alone
             actor.meets = partial(self.encounters.meets, actor)
             if isinstance(actor, DrivenPerson):
                 actor.actors = self.actors
+                if solid:
+                    actor.others_discs = partial(self._discs_beside, actor.number)
+                    actor.meets = partial(self._meets_solid, actor)
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
         self.places = self.before = world.starts.copy()
@@ -295,6 +303,28 @@ class RearrangePlay:
         """People move by their skills; the state says where they are."""
         for own, person in zip(self.state.people, self.people, strict=True):
             own.xz[0], own.heading[0] = person.xz, person.heading
+
+    def _discs_beside(self, number: int) -> NDArray[np.float64]:
+        """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent, as they are now; of a robot those of its empty hand."""
+        spec, discs = self.episode.spec, [np.zeros((0, 3))]
+        for other in self.actors:
+            if other.number != number:
+                is_robot = isinstance(other, RobotActor)
+                base = agent_base(self.episode, other.number)
+                offsets, radius = (
+                    (base.disc_offsets_m, base.disc_radius_m) if is_robot else ((0.0,), spec.agent_radius_m)
+                )
+                discs.append(discs_at(other.xz[None], np.array([other.heading]), offsets, radius)[0])
+        return np.concatenate(discs)
+
+    def _meets_solid(self, person: DrivenPerson) -> bool:
+        """As `AgentContactTracker.meets`, or whether the person has come nearer to others than they may in this step."""
+        if self.encounters.meets(person):
+            return True
+        was, radius = self.encounters.track(person.number)[-1], self.episode.spec.agent_radius_m
+        discs = self._discs_beside(person.number)
+        least = np.minimum(radius + discs[:, 2], np.hypot(*(discs[:, :2] - was).T))
+        return bool((np.hypot(*(discs[:, :2] - person.xz).T) < least - APART_TOLERANCE_M).any())
 
     def view(self, agent: int) -> RearrangeView:
         """What an agent knows now."""

@@ -1,5 +1,5 @@
-"""Writes ``golden_states.json``, packed states with what they say, which the tests of the Python packer and of the TypeScript
-decoder read: ``python -m tests.viewers.hitl.golden``."""
+"""Writes ``golden_states.json``, packed states with what they say and a walk beside others, which the tests of the server and of
+the page read: ``python -m tests.viewers.hitl.golden``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from sim_kinematic.motion.step import drive_base, keep_apart
 
 from h3data_viewers.hitl.wire import BODY_JOINTS, JOINT_UNIT, PackedStep, StatePacker, pack_pong
 
@@ -76,7 +78,25 @@ def golden() -> dict[str, Any]:
         head = (1 | 8 * (step == 2), 2, len(objects), step, step - 2, 33.5 * step)
         data = packed.state(head[0], head[3], head[4], head[5], whole=whole)
         states.append({"bytes": data.hex(), "said": said(columns, head, objects)})
-    return {"joints": JOINTS, "states": states, "pong": {"bytes": pack_pong(12.5, 99.25).hex(), "said": [12.5, 99.25]}}
+    pong = {"bytes": pack_pong(12.5, 99.25).hex(), "said": [12.5, 99.25]}
+    return {"joints": JOINTS, "states": states, "pong": pong, "beside": walk_beside()}
+
+
+def walk_beside() -> dict[str, Any]:
+    """A person who walks about between two others and a wall, and where they are after every step, ``(x, z, heading)``."""
+    room, cell, radius, others = (8.0, 6.0), 0.05, 0.25, np.array([[4.0, 3.0, 0.25], [4.0, 0.7, 0.25]])
+    x, z = np.meshgrid(*((np.arange(round(size / cell)) + 0.5) * cell for size in room), indexing="ij")
+    sdf = np.rint(1e3 * np.minimum(np.minimum(x, room[0] - x), np.minimum(z, room[1] - z))) * 1e-3
+    origin, offsets, base, places = np.zeros(2), np.zeros(1), (3.0, 2.9, 0.0), []
+    commands = [[1.0, 0.0]] * 40 + [[1.0, 0.6]] * 30 + [[-0.7, 0.1]] * 60 + [[1.0, -0.9]] * 60
+    for forward, turn in commands:
+        was = base
+        drives = forward * 2.5, 0.0, turn * 2.5, 1 / 30, offsets, radius, 6, 7e-4, 1e-5, np.inf
+        at = drive_base(sdf, origin, cell, *was, *drives)
+        *apart, _ = keep_apart(sdf, origin, cell, was[0], was[1], at[0], at[1], others, radius, radius - 7e-4)
+        base = apart[0], apart[1], at[2]
+        places.append([round(value, 9) for value in base])
+    return {"room": room, "others": others.tolist(), "start": [3.0, 2.9, 0.0], "commands": commands, "places": places}
 
 
 if __name__ == "__main__":

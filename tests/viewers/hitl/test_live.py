@@ -13,7 +13,7 @@ import pytest
 from h3data.bodies.motion.motion_files import save_motion
 from h3data.bodies.people.planted_gait import planted_states, pose_planted
 from h3data.errors import InputError
-from h3data.geometry import pose_multiply
+from h3data.geometry import heading_from_quat, pose_multiply, wrap_angle
 from h3data.kernels import compiled_count
 from h3data.recording import read_mcap
 from h3data.recording.live_input import CLIENT
@@ -24,6 +24,8 @@ from h3data_viewers.hitl.messages import decode
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan
 from h3data_viewers.hitl.wire import BUSY
 from h3data_viewers.hitl.worker import rehearse
+from sim_kinematic.motion.step import discs_at
+from sim_kinematic.tasks.episode import agent_base
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import Session, StepResult
 from tests.bodies.motion.test_walk_import import walk
@@ -102,6 +104,49 @@ def test_a_whole_episode_verifies_from_raw_input(tmp_path: Path):
     assert '"message":{"k":"move","f":0.3,"t":0.7,"seq":1,"ct":1.0}' in texts[1]
     assert recording.episode.info["hitl"]["seats"] == ["person"]
     assert recording.episode.info["ended"] == "success"
+
+
+@pytest.mark.parametrize("app", ["rearrange", "social_nav"])
+def test_nobody_walks_through_the_robot(tmp_path: Path, app: str):
+    """A person who walks straight at the robot is stopped by its discs, or slides along them; that verifies from raw input."""
+    still = {"partner": "still"} if app == "rearrange" else {}
+    game = table(tmp_path, app=app, scenes="small:1", **still).begin(GameOrder(index=0, name="000000"))
+    player, nearest = Player(game), np.inf
+    spec, robot = game.session.episode.spec, game.session.play.world if app == "social_nav" else None
+    assert spec.solid_agents
+    for _ in range(400):
+        gap = places(game)[0, :2] - places(game)[1, :2]
+        left = wrap_angle(np.arctan2(-gap[1], gap[0]) - places(game)[1, 2])
+        if len(game.session.recorder) % 60 == 0 and np.hypot(*gap) > 1.5:  # around walls
+            player.send(k="goto", p=[float(places(game)[0, 0]), 0.0, float(places(game)[0, 1])])
+        elif np.hypot(*gap) < 1.5:
+            player.send(k="move", f=1.0, t=float(np.clip(left / 0.2, -1, 1)))
+        player.play()
+        discs = discs_at(places(game)[:1, :2], places(game)[:1, 2], *robot_discs(game))[0]
+        nearest = min(nearest, float(np.hypot(*(discs[:, :2] - places(game)[1, :2]).T).min()))
+    least = robot_discs(game)[1] + spec.agent_radius_m
+    assert nearest < least + 0.05, "they never met"
+    # a robot that drives itself may come nearer by what it moves in a step
+    assert nearest > least - (1e-3 if robot is None else 0.1)
+    game.close()
+    recording = read_mcap(tmp_path / "000000.mcap")
+    assert recording.episode.info["spec"]["solid_agents"]
+    assert verify(recording).difference is None
+    assert [finding for finding in validate_recording(recording) if finding.check == "penetration"] == []
+
+
+def places(game: LiveGame) -> np.ndarray:
+    """Robot and person, ``(x, z, heading)`` [2, 3]."""
+    if not game.columns:
+        return game.session.episode.starts
+    poses = [game.columns[f"agent_{k}.base_pose"][-1].astype(np.float64) for k in range(2)]
+    return np.array([[pose[0], pose[2], heading_from_quat(pose[3:])] for pose in poses])
+
+
+def robot_discs(game: LiveGame) -> tuple[tuple[float, ...], float]:
+    """Offsets and radius of the robot's discs."""
+    base = agent_base(game.session.episode, 0)
+    return base.disc_offsets_m, base.disc_radius_m
 
 
 def test_a_game_goes_on_from_its_unfinished_log(tmp_path: Path):

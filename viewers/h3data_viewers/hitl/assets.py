@@ -74,6 +74,7 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
     agents = []
     for k, member in enumerate(episode.roster):
         agent: dict[str, Any] = {"name": member.name, "kind": member.kind, "drive": _drive(driving_base(session, k))}
+        agent["drive"]["solid"] = member.kind == "human" and getattr(episode.spec, "solid_agents", False)
         if isinstance(member.body, Robot):
             agent |= robot_rig(member.body)
         else:

@@ -309,6 +309,9 @@ class Front:
             live.begun.set_exception(Failed(over.get("why", over["ended"])))
             live.begun.exception()  # nobody may be waiting for it
         del self.lives[live.game.key]
+        if over["path"]:
+            nobody_plays_there = self.workers.ready_spare() or live.worker
+            nobody_plays_there.send("pack", "", {"path": over["path"], "share_in": over["share_in"]})
         self._prepare_next()
         self.report({"over": {**over, "episode": live.game.episode, "key": live.game.key}})
         if is_last and all(game.over for game in self.journal.games.values()):

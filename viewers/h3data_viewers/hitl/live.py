@@ -99,13 +99,16 @@ class LiveGame:
         sink = None
         if path is not None:
             # one home is stored once for all episodes that are played in it
-            sink = lambda header: RecordingWriter(path, header, overwrite=True, share_in=plan.out)  # noqa: E731
+            # and the file is packed by a process in which nobody plays (`Worker.pack`)
+            sink = lambda header: RecordingWriter(  # noqa: E731
+                path, header, overwrite=True, share_in=plan.out, compact=False
+            )
         info: dict[str, Any] = {"hitl": {"app": plan.app, "seats": list(plan.seats), "protocol": VERSION}}
         if plan.speed != 1:
             info["hitl"]["speed"] = plan.speed
         if order is not None:
             info = {**order.info, "hitl": {**info["hitl"], **order.hitl}}
-        self.index, self.path, self.slipped = index, path, 0
+        self.index, self.path, self.share_in, self.slipped = index, path, plan.out, 0
         if order is not None and order.facts:
             table.task.recall(episode, order.facts)
         self.session = Session(table.task, episode, policies, sink=sink, episode_id=str(index), info=info)

@@ -71,11 +71,14 @@ class Journal:
     """Key of the link of each of `PlayPlan.seats`."""
 
     def __post_init__(self) -> None:
-        # one process writes; a commit is on the disk before a browser hears of it
+        # one process writes; a commit is with the operating system before a browser hears of it, so that it outlives this
+        # process. To wait for the disk as well stops all players for 30 ms (a log that is written ahead stays whole anyway)
         self._db = sqlite3.connect(":memory:" if self.read_only else self.folder / self.name, isolation_level=None)
         if self.read_only:
             with closing(sqlite3.connect(f"{(self.folder / self.name).resolve().as_uri()}?mode=ro", uri=True)) as file:
                 file.backup(self._db)
+        else:
+            self._db.executescript("pragma journal_mode = wal; pragma synchronous = normal;")
         self._db.executescript(_TABLES)
         for sid, token, place, number, game in self._db.execute("select sid, token, place, number, game from seats"):
             self.seats[sid] = Seat(sid, token, place, number, game)

@@ -10,20 +10,24 @@ import logging
 import signal
 import socket
 import sys
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 import msgspec
 
 from h3data.errors import H3DataError, InputError
+from h3data.recording import pack_mcap, write_mcap
 from h3data_viewers.hitl import assets
 from h3data_viewers.hitl.channel import Channel, Closed
 from h3data_viewers.hitl.live import LiveGame, Table
-from h3data_viewers.hitl.messages import PERIOD_S, Act, Drop, GoTo, Leave, Move, Pick, decode
+from h3data_viewers.hitl.messages import PERIOD_S, Act, Drop, GoTo, Hand, Head, Leave, Move, Pick, Place, decode
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_BEHIND = 3
@@ -34,6 +38,8 @@ FARTHEST_STEPS = 15
 """A message that is meant for a later step than this acts as soon as that many steps are over."""
 WHOLE_EVERY = 30
 """Every so many steps a state has all objects, not just those that have moved."""
+PLAN_STEPS = 6
+"""To be led to a thing may take 50 ms of everybody's worker: who asks again sooner is not heard."""
 REPORT_S = 1.0
 MEASURED_STEPS = 60
 HUD_S = 10.0
@@ -61,6 +67,8 @@ class Running:
     latest_s: deque[float] = field(default_factory=lambda: deque(maxlen=MEASURED_STEPS))
     """CPU time of the latest steps, with packing and sending."""
     huds: dict[int, Any] = field(default_factory=dict)
+    planned: dict[int, int] = field(default_factory=dict)
+    """Step in which each player last asked to be led to a thing."""
 
     @property
     def clock_ms(self) -> float:
@@ -133,7 +141,7 @@ class Worker:
             due = min((r.due for r in self.games.values() if r.runs), default=now + 0.5)
             for kind, key, body in self.channel.receive(min(due - now, REPORT_S)):
                 self.guarded(key, _HANDLERS[kind], body)
-            for running in list(self.games.values()):
+            for running in sorted(self.games.values(), key=lambda running: running.due):
                 if running.runs and running.due <= time.monotonic():
                     self.guarded(running.key, Worker.step, None)
             self.report()
@@ -152,6 +160,17 @@ class Worker:
             text = str(fault) if isinstance(fault, H3DataError) else f"{type(fault).__name__}: {fault}"
             self.channel.send("failed", key, text)
 
+    def _free_time(self, newcomer: Running) -> float:
+        """When a game should take its first step: in the middle of the longest time in which no other game takes one, so that a
+        long step of one delays few others."""
+        now, period = time.monotonic(), self.period
+        taken = sorted((r.due - now) % period for r in self.games.values() if period and r.runs and r is not newcomer)
+        if not taken:
+            return now + period
+        gaps = [b - a for a, b in pairwise([*taken, taken[0] + period])]
+        longest = gaps.index(max(gaps))
+        return now + period + (taken[longest] + gaps[longest] / 2) % period
+
     def report(self) -> None:
         """Tells the front once a second which share of a core the games take. It is CPU time, and of each game the median step:
         neither what else the machine does nor a single plan should turn people away."""
@@ -164,15 +183,18 @@ class Worker:
 
     def close_all(self, *, finish: bool) -> None:
         """Finishes all recordings, or leaves them as logs that a later process goes on with."""
+        closed = []
         for running in self.games.values():
             try:
-                if finish:
-                    running.game.close()
-                else:
+                if not finish:
                     running.game.session.abort()
+                elif running.game.close() is not None:
+                    closed.append(running.game)
             except Exception:
                 log.exception("game %s could not be closed", running.key)
         self.games.clear()
+        for game in closed:  # only now: every recording is whole already
+            self.guarded("", Worker.pack, {"path": str(game.path), "share_in": game.share_in})
 
     # --- letters of the front -----------------------------------------------------------------------------------------
     def prepare(self, key: str, body: dict[str, Any]) -> None:
@@ -199,8 +221,7 @@ class Worker:
         running.whole = True
         running.huds.pop(number, None)
         if running.runs and not ran:
-            # sessions begin at different phases, so that a long step of one delays few others
-            running.due = time.monotonic() + self.period * (1 + (len(self.games) * 0.38) % 1)
+            running.due = self._free_time(running)
         if not running.runs and running.game.packed is not None:
             self._send_states(running)
         self._tell_pause(running)
@@ -232,6 +253,12 @@ class Worker:
         except InputError as fault:
             why = str(fault)
         self.channel.send("told", key, [number, {"can": {"p": point, "why": why}}])
+
+    def pack(self, key: str, body: dict[str, str]) -> None:
+        """Packs a finished recording, which takes a tenth of a second: the front has a process do it in which nobody plays."""
+        del key
+        if Path(body["path"]).is_file():  # else it has been deleted meanwhile
+            pack_mcap(Path(body["path"]), share_in=body["share_in"])
 
     def stop(self, key: str, body: Any) -> None:
         """The process ends; all recordings are finished, or left as logs."""
@@ -267,6 +294,11 @@ class Worker:
         running.latest_s.append(time.process_time() - cpu)
 
     def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:
+        if isinstance(message, Pick | Place) and message.lead:
+            now, before = len(running.game.session.recorder), running.planned.get(number, -PLAN_STEPS)
+            if now - before < PLAN_STEPS:
+                return
+            running.planned[number] = now
         try:
             why = running.game.take(number, message, text, arrived)
         except InputError as fault:  # no command: it has not been recorded
@@ -309,6 +341,7 @@ class Worker:
             "slipped": game.slipped,
             "step_ms": round(running.seconds / max(steps, 1) * 1e3, 3),
             "path": "" if recording is None else str(game.path),
+            "share_in": game.share_in,
             "texts": {str(number): game.app.over(number) for number in (*game.drivers, -1)},
         }
         self.channel.send("over", running.key, over)
@@ -320,6 +353,7 @@ _HANDLERS = {
     "here": Worker.here,
     "input": Worker.input,
     "can": Worker.can,
+    "pack": Worker.pack,
     "stop": Worker.stop,
 }
 
@@ -330,6 +364,9 @@ def rehearse(table: Table) -> None:
     game = LiveGame(table, 0)
     for message, steps in (
         (Move(f=1.0, t=0.3), 20),
+        (Hand(side="left", p=(0.3, 1.2, -0.2), q=(0.0, 0.0, 0.0, 1.0)), 3),
+        (Hand(side="right", p=(0.3, 1.2, 0.2)), 3),
+        (Head(yaw=0.2, pitch=0.1), 3),
         (Pick(o=0, lead=True), 150),
         (Drop(), 20),
         (GoTo(p=(float(game.session.episode.starts[0, 0]), 0.0, float(game.session.episode.starts[0, 1]))), 60),
@@ -342,7 +379,10 @@ def rehearse(table: Table) -> None:
             if not game.ended:
                 game.step()
                 game.state(-1, 0.0, whole=True)
-    game.close()
+    recording = game.close()
+    assert recording is not None
+    with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
+        pack_mcap(write_mcap(recording, Path(folder, "rehearsal.mcap")))
 
 
 def main(descriptor: int) -> None:

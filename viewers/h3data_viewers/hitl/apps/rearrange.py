@@ -16,7 +16,7 @@ class RearrangeApp(App):
 
     task: ClassVar[str] = "rearrange"
     # as in the paper's study: contact is counted, it does not end the episode
-    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 5400, "end_on_collision": False}
+    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 5400, "end_on_collision": False, "solid_agents": True}
 
     def driver(self, number: int) -> Driver:
         is_person = isinstance(self.session.play.actors[number], DrivenPerson)  # type: ignore[attr-defined]

@@ -12,7 +12,7 @@ class FollowMeApp(App):
     """The person walks where they like; the robot follows at 1 to 2 m."""
 
     task: ClassVar[str] = "social_nav"
-    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 2700, "end_on_collision": False}
+    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 2700, "end_on_collision": False, "solid_agents": True}
 
     def hud(self, number: int) -> Hud:
         session = self.session

@@ -5,7 +5,7 @@ import { hints, holderText, situation, type Situation } from "./player/actions.t
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
 import { Headset } from "./headset/xr.ts";
-import type { Base, Driving } from "./motion/drive.ts";
+import { discsOf, type Base, type Driving } from "./motion/drive.ts";
 import type { Hud, TodoItem } from "./screen/hud.ts";
 import { Input, Stick, type Wish } from "./player/input.ts";
 import type { Manifest } from "./link/manifest.ts";
@@ -98,7 +98,10 @@ export class Game {
     const me = this.manifest.me;
     const base = state.agents[me];
     if (!base) return;
-    this.predictor?.hear({ step: state.step, ack: state.ack, base }, (state.flags & FLAG.busy) !== 0);
+    if (this.predictor) {
+      this.predictor.hear({ step: state.step, ack: state.ack, base }, (state.flags & FLAG.busy) !== 0);
+      this.predictor.others = state.agents.flatMap((at, k) => (k === me ? [] : discsOf(at, this.manifest.agents[k]!.drive)));
+    }
     const held = state.things.findIndex((thing) => thing.held === me);
     if (held !== this.held) this.sound.play(held >= 0 ? "take" : "put");
     this.held = held;

@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { drive, type Driving } from "../src/motion/drive.ts";
+import { readFileSync } from "node:fs";
+import { discsOf, drive, type Driving } from "../src/motion/drive.ts";
 import { Predictor } from "../src/motion/predict.ts";
 import { Sdf, wrapAngle } from "../src/motion/sdf.ts";
 
@@ -48,6 +49,32 @@ test("a wall stops what goes into it and lets slide what goes along it", () => {
   assert.ok(base.x > 0.249 && base.x < 0.26, `x is ${base.x}`);
   assert.ok(base.z < 2.2, "it slid along");
 });
+
+test("beside others a body gets where the server's gets", () => {
+  const file = readFileSync("../../../../tests/viewers/hitl/golden_states.json", "utf8");
+  const { room: size, others: rows, start, commands, places } = (JSON.parse(file) as { beside: Beside }).beside;
+  const sdf = room(...size);
+  const others = rows.map(([x, z, radius]) => ({ x, z, radius }));
+  let base = { x: start[0], z: start[1], heading: start[2] };
+  let nearest = Infinity;
+  commands.forEach(([forward, turn], k) => {
+    base = drive(sdf, base, { forward, turn }, { ...HOW, solid: true }, DT, others);
+    const [x, z, heading] = places[k]!;
+    assert.ok(Math.hypot(base.x - x, base.z - z) < 1e-4 && Math.abs(base.heading - heading) < 1e-6, `step ${k}`);
+    nearest = Math.min(nearest, ...others.map((disc) => Math.hypot(base.x - disc.x, base.z - disc.z)));
+  });
+  assert.ok(nearest > 0.5 - 1e-5 && nearest < 0.51, `nearest ${nearest}`);
+  assert.deepEqual(discsOf({ x: 1, z: 2, heading: Math.PI / 2 }, { ...HOW, offsets: [0.5] }).map((disc) => disc.z), [1.5]);
+});
+
+type Row = [number, number, number];
+interface Beside {
+  room: [number, number];
+  others: Row[];
+  start: Row;
+  commands: [number, number][];
+  places: Row[];
+}
 
 test("a prediction is what the server says later, however long that takes", () => {
   for (const delay of [0, 3, 6]) {

@@ -3,6 +3,9 @@
 
 import { clamp, type Sdf } from "./sdf.ts";
 
+const APART_ITERATIONS = 4;
+const APART_TOLERANCE_M = 1e-6;
+
 export interface Base {
   x: number;
   z: number;
@@ -25,6 +28,21 @@ export interface Driving {
   tolerance: number;
   /** The farthest that a step gets, m; null: as far as obstacles push it. */
   farthest: number | null;
+  /** It slides along the discs of other agents as along walls. */
+  solid?: boolean;
+}
+
+/** A disc of another agent on the floor, m. */
+export interface Disc {
+  x: number;
+  z: number;
+  radius: number;
+}
+
+/** The discs of an agent where it is. */
+export function discsOf(base: Base, how: Driving): Disc[] {
+  const [c, s] = [Math.cos(base.heading), Math.sin(base.heading)];
+  return how.offsets.map((offset) => ({ x: base.x + c * offset, z: base.z - s * offset, radius: how.radius }));
 }
 
 export interface Velocity {
@@ -33,8 +51,36 @@ export interface Velocity {
   lateral?: number;
 }
 
-/** Where a base is after `dt` seconds under a command, -1..1 each. */
-export function drive(sdf: Sdf, base: Base, command: Velocity, how: Driving, dt: number): Base {
+/** Where a base is after `dt` seconds under a command, -1..1 each, beside the discs of others. */
+export function drive(sdf: Sdf, base: Base, command: Velocity, how: Driving, dt: number, others: Disc[] = []): Base {
+  const target = driveAlone(sdf, base, command, how, dt);
+  return how.solid && others.length ? keepApart(sdf, base, target, others, how) : target;
+}
+
+/** `sim_kinematic.motion.step.keep_apart`: slides along others; who is too near already may leave, and gets no nearer. */
+function keepApart(sdf: Sdf, from: Base, to: Base, others: Disc[], how: Driving): Base {
+  const least = others.map((disc) => Math.min(how.radius + disc.radius, Math.hypot(from.x - disc.x, from.z - disc.z)));
+  let { x, z } = to;
+  let touched = false;
+  for (let n = 0; n < APART_ITERATIONS; n++) {
+    let free = true;
+    others.forEach((disc, k) => {
+      const far = Math.hypot(x - disc.x, z - disc.z);
+      if (far <= 1e-9 || far >= least[k]! - APART_TOLERANCE_M) return;
+      [x, z] = [disc.x + ((x - disc.x) / far) * least[k]!, disc.z + ((z - disc.z) / far) * least[k]!];
+      free = false;
+      touched = true;
+    });
+    if (free) break;
+  }
+  if (!touched) return to;
+  const stays = { x: from.x, z: from.z, heading: to.heading };
+  if (others.some((disc, k) => Math.hypot(x - disc.x, z - disc.z) < least[k]! - 2 * APART_TOLERANCE_M)) return stays;
+  if (Math.hypot(x - from.x, z - from.z) > Math.hypot(to.x - from.x, to.z - from.z) + APART_TOLERANCE_M) return stays;
+  return sdf.at(x, z) < how.radius - how.tolerance ? stays : { x, z, heading: to.heading };
+}
+
+function driveAlone(sdf: Sdf, base: Base, command: Velocity, how: Driving, dt: number): Base {
   const speed = clamp(command.forward, how.backwards ? -1 : 0, 1) * how.speed;
   const lateral = clamp(command.lateral ?? 0, -1, 1) * how.lateral;
   const turn = clamp(command.turn, -1, 1) * how.turn;

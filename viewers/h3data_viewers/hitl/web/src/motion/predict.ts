@@ -1,6 +1,6 @@
 /** Where the player's own body is by now, before the server has answered. */
 
-import { drive, type Base, type Driving, type Velocity } from "./drive.ts";
+import { drive, type Base, type Disc, type Driving, type Velocity } from "./drive.ts";
 import { wrapAngle, type Sdf } from "./sdf.ts";
 
 /** A velocity and the step that it is meant to act in. */
@@ -26,6 +26,8 @@ const KEPT = 1500;
 export class Predictor {
   /** Distances between what was shown for a step and what the server said of it, m. */
   readonly errors: number[] = [];
+  /** Discs of the other agents where the latest state has them. */
+  others: Disc[] = [];
   private readonly sent: SentMove[] = [];
   private readonly guesses = new Map<number, Base>();
   private active: Velocity = { forward: 0, turn: 0 };
@@ -72,7 +74,7 @@ export class Predictor {
     for (let step = told.step + 1; step <= told.step + whole + 1; step++) {
       while (next < this.sent.length && this.sent[next]!.step <= step) command = this.sent[next++]!;
       before = base;
-      base = drive(this.sdf, base, command, this.how, this.dt);
+      base = drive(this.sdf, base, command, this.how, this.dt, this.others);
       if (step === told.step + whole) this.guesses.set(step, base);
     }
     return mix(before, base, share);
@@ -85,7 +87,9 @@ export class Predictor {
     if (was && (predicted || was.predicted)) {
       const share = predicted && was.predicted ? seconds / this.dt : 0;
       const scaled = { forward: command.forward * share, turn: command.turn * share };
-      const expected = share ? drive(this.sdf, was.target, limited(scaled), this.how, this.dt * most(scaled)) : was.target;
+      const expected = share
+        ? drive(this.sdf, was.target, limited(scaled), this.how, this.dt * most(scaled), this.others)
+        : was.target;
       this.slack.x += expected.x - target.x;
       this.slack.z += expected.z - target.z;
       this.slack.heading += wrapAngle(expected.heading - target.heading);
