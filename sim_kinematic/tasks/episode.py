@@ -86,8 +86,8 @@ class Outcome:
 
 
 def rules_dict(spec: Any) -> dict[str, Any]:
-    """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, and rules where
-    nobody is solid none of that, as in those made before there were such rules."""
+    """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, and where
+    nobody is solid there is none of that, as in those made before there were such rules."""
     rules = asdict(spec)
     if not rules.get("solid_agents", True):
         del rules["solid_agents"]

@@ -42,8 +42,8 @@ def test_who_walks_past_slides_and_a_wall_behind_holds():
 
 
 def test_worlds_may_be_solid():
-    """A person walks at a robot that stands: through it where nothing is said, up to its discs where others are solid; one world
-    as many."""
+    """A person walks at a robot that stands: through it where nothing is said, up to its discs where others are solid;
+    one world as many."""
     free = FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=1)))
     roster = make_roster(["robot", "human"])
     i, j = np.unravel_index(np.argmax(free.sdf), free.sdf.shape)

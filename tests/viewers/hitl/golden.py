@@ -1,5 +1,5 @@
-"""Writes ``golden_states.json``, packed states with what they say and a walk beside others, which the tests of the server and of
-the page read: ``python -m tests.viewers.hitl.golden``."""
+"""Writes ``golden_states.json``, packed states with what they say and a walk beside others, which the tests of the server and
+of the page read: ``python -m tests.viewers.hitl.golden``."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sim_kinematic.motion.step import drive_base, keep_apart
-
 from h3data_viewers.hitl.wire import BODY_JOINTS, JOINT_UNIT, PackedStep, StatePacker, pack_pong
+from sim_kinematic.motion.step import drive_base, keep_apart
 
 FILE = Path(__file__).parent / "golden_states.json"
 JOINTS = 20
@@ -95,8 +94,14 @@ def walk_beside() -> dict[str, Any]:
         at = drive_base(sdf, origin, cell, *was, *drives)
         *apart, _ = keep_apart(sdf, origin, cell, was[0], was[1], at[0], at[1], others, radius, radius - 7e-4)
         base = apart[0], apart[1], at[2]
-        places.append([round(value, 9) for value in base])
-    return {"room": room, "others": others.tolist(), "start": [3.0, 2.9, 0.0], "commands": commands, "places": places}
+        places.append([round(float(value), 9) for value in base])
+    return {
+        "room": list(room),
+        "others": others.tolist(),
+        "start": [3.0, 2.9, 0.0],
+        "commands": commands,
+        "places": places,
+    }
 
 
 if __name__ == "__main__":

@@ -382,7 +382,9 @@ def rehearse(table: Table) -> None:
     recording = game.close()
     assert recording is not None
     with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
-        pack_mcap(write_mcap(recording, Path(folder, "rehearsal.mcap")))
+        file = Path(folder, "rehearsal.mcap")
+        write_mcap(recording, file)
+        pack_mcap(file)
 
 
 def main(descriptor: int) -> None:
