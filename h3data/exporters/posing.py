@@ -24,14 +24,14 @@ from h3data.habitat.skinned_meshes import SkinnedMesh
 from h3data.mesh.glb_write import Influences
 from h3data.recording import Body
 from h3data.render import OPENGL_TO_OPENCV
-from h3data.replay.cameras import camera_names, camera_track
+from h3data.replay.cameras import THIRD_PERSON, camera_names, camera_track
 from h3data.replay.records import LinkTrack, PersonTrack, RigTrack
 from h3data.replay.replay import Replay
 
 _ROOT_OF_PERSON = np.array([0, HUMAN_ROOT_HEIGHT_M, 0, *quat_from_heading(np.pi / 2)])
 """habitat-lab's humanoid root in the agent's root frame: at that height, z forward."""
 
-_GENERIC_CAMERAS = ("top_down", "top_down_orthographic", "orbit", "third_person")
+_GENERIC_CAMERAS = ("top_down", "top_down_orthographic", "orbit", THIRD_PERSON)
 
 
 def posed_parts(replay: Replay, steps: NDArray[np.integer] | None = None) -> list[PosedPart]:
@@ -65,7 +65,7 @@ def posed_cameras(replay: Replay) -> list[PosedCamera]:
     """The cameras of robots and people, and those that the recording carries."""
     cameras = []
     for name in camera_names(replay):
-        if name in _GENERIC_CAMERAS:
+        if name.rpartition("/")[2] in _GENERIC_CAMERAS:
             continue
         track = camera_track(replay, name)
         camera = track.camera

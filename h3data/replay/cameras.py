@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +15,22 @@ from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, orthographic, pinho
 from h3data.replay.camera_files import Orbit, link_frames, orbit_poses, track_of_file
 from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
-from h3data.replay.third_person import third_person, third_person_at
+from h3data.replay.third_person import default_leader, third_person, third_person_at
+
+THIRD_PERSON = "third_person"
 
 
 def camera_names(replay: Replay) -> list[str]:
     """Names of all cameras that a recording offers."""
     names = ["top_down", "top_down_orthographic", "orbit"]
     if replay.recording.agents:
-        names.append("third_person")
+        names.append(THIRD_PERSON)
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model else None
         mounted = [c.name for c in model.cameras] if isinstance(model, Robot) else [HUMAN_HEAD] if model else []
         names += [name if name not in names else f"{agent.name}/{name}" for name in mounted]
+        if index != default_leader(replay):
+            names.append(f"{agent.name}/{THIRD_PERSON}")
     return names + [c for c in replay.recording.columns if c.startswith("user.")]
 
 
@@ -42,6 +47,9 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     names = camera_names(replay)
     if name_or_file in names and name_or_file in _VIRTUAL:
         return _VIRTUAL[name_or_file](replay)
+    if (leader := _followed(replay, name_or_file)) is not None:
+        track = third_person(replay, leader)
+        return replace(track, camera=replace(track.camera, name=name_or_file.replace("/", ".")))
     if name_or_file in names and name_or_file.startswith("user."):
         return _user(replay, name_or_file)
     mounted = _mounted(replay, name_or_file) if name_or_file in names or "/" in name_or_file else None
@@ -56,9 +64,18 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
 def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
     """`camera_track` at one step (negative steps count from the end), much faster for the ``third_person`` camera."""
     row = replay.row(step)
-    if name_or_file == "third_person" and replay.recording.agents:
-        return third_person_at(replay, row)
+    if (leader := _followed(replay, name_or_file)) is not None:
+        return replace(third_person_at(replay, row, leader), name=name_or_file.replace("/", "."))
     return camera_track(replay, name_or_file).at(row)
+
+
+def _followed(replay: Replay, name: str) -> int | None:
+    """Number of the agent that ``third_person`` or ``agent/third_person`` follows, None for any other camera."""
+    owner, _, camera_name = name.rpartition("/")
+    agents = replay.recording.agents
+    if camera_name != THIRD_PERSON or not agents:
+        return None
+    return next((k for k, agent in enumerate(agents) if agent.name == owner), None) if owner else default_leader(replay)
 
 
 def _mounted(replay: Replay, name: str) -> CameraTrack | None:
@@ -203,6 +220,5 @@ _VIRTUAL = {
     "top_down": top_down,
     "top_down_orthographic": top_down_orthographic,
     "orbit": orbit,
-    "third_person": third_person,
 }
 """Cameras that are computed from the recording as a whole."""

@@ -51,8 +51,9 @@ JUMP_M, JUMP_MPS = 0.5, 8.0
 """The camera cuts where the agent moves by more than both limits in one step; elsewhere it moves smoothly."""
 
 
-def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> CameraTrack:
-    """A camera that follows the robot, or else the first agent, from the best free position around it.
+def third_person(replay: Replay, leader: int | None = None, *, width: int = 640, height: int = 480) -> CameraTrack:
+    """A camera that follows an agent by its number, or the robot, or else the first agent, from the best free position
+    around it.
 
     Positions are optimised for the whole recording at once (dynamic programming over directions): a long free line of
     sight, the other agent visible, preferably from behind, and little turning. The followed agent is in sight at every
@@ -61,18 +62,20 @@ def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> Came
     camera = _lens(width, height)
     if not len(replay):
         return CameraTrack(camera=camera, poses=np.eye(4)[None])
-    scene = _scene(replay)
+    scene = _scene(replay, leader)
     parts = [_follow(scene, steps, np.arange(len(steps))) for steps in scene.runs]
     poses, nears = (np.concatenate(p) for p in zip(*parts, strict=True))
     return CameraTrack(camera=camera, poses=poses, nears=nears if nears.any() else None)
 
 
-def third_person_at(replay: Replay, step: int, *, width: int = 640, height: int = 480) -> Camera:
+def third_person_at(
+    replay: Replay, step: int, leader: int | None = None, *, width: int = 640, height: int = 480
+) -> Camera:
     """The camera of `third_person` at one step, computed from the steps around it in 0.17 s, however long the recording.
 
     The best local path is usually that of the whole recording: equal within 1e-5 m at 144 steps in four homes.
     """
-    scene = _scene(replay)
+    scene = _scene(replay, leader)
     run = next(run for run in scene.runs if run[-1] >= step)
     row, reach = step - run[0], round(AROUND_S / scene.dt)
     first = max(row - reach, 0) // scene.stride * scene.stride  # same keys as for the whole recording
@@ -107,11 +110,17 @@ class _Scene:
         return max(round(KEY_S / self.dt), 1)
 
 
-def _scene(replay: Replay) -> _Scene:
+def default_leader(replay: Replay) -> int:
+    """Number of the agent that ``third_person`` follows where none is named: the first robot, or else the first agent."""
+    kinds = [agent.kind for agent in replay.recording.agents]
+    return kinds.index("robot") if "robot" in kinds else 0
+
+
+def _scene(replay: Replay, leader: int | None) -> _Scene:
     recording = replay.recording
     kinds = [agent.kind for agent in recording.agents]
-    leader = kinds.index("robot") if "robot" in kinds else 0
-    other = kinds.index("human") if "human" in kinds and kinds.index("human") != leader else None
+    leader = default_leader(replay) if leader is None else leader
+    other = next((k for k, kind in enumerate(kinds) if kind == "human" and k != leader), None)
     if other is not None and np.isnan(recording.agent_column(other, "base_pose")).any(-1).all():
         other = None  # absent throughout
     base = forward_fill(recording.agent_column(leader, "base_pose").astype(np.float64))

@@ -14,7 +14,7 @@ from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.habitat.hitl.hitl_paper_logs import read_hitl_log
 from h3data.habitat.hitl.hitl_sessions import read_hitl_episode
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
-from h3data.replay import CameraTrack, Replay, camera_at, camera_track
+from h3data.replay import CameraTrack, Replay, camera_at, camera_names, camera_track
 from h3data.scene import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
@@ -172,6 +172,29 @@ def test_one_step_alone_is_that_of_the_whole_track() -> None:
     np.testing.assert_array_equal(camera_at(replay, "orbit", -1).pose, camera_track(replay, "orbit").poses[149])
     with pytest.raises(InputError, match="no step 150"):
         camera_at(replay, "third_person", 150)
+
+
+def test_an_agent_by_name_is_followed_instead_of_the_robot() -> None:
+    recording = simulate_social_nav(
+        social_nav_episode(build_home(HomeSpec(seed=1)), seed=1, spec=SocialNavSpec(max_steps=40))
+    )
+    replay, (robot, person) = Replay(recording), (agent.name for agent in recording.agents)
+    assert f"{person}/third_person" in camera_names(replay)
+    assert f"{robot}/third_person" not in camera_names(replay)  # that is third_person
+    track = camera_track(replay, f"{person}/third_person")
+    assert track.camera.name == f"{person}.third_person"
+    alone = camera_at(replay, f"{person}/third_person", 20)
+    np.testing.assert_allclose(alone.pose, track.poses[20], atol=1e-6)
+    heads = recording.agent_column(1, "base_pose")[:, :3] + (0.0, 1.25, 0.0)
+    for step in (0, 20, 39):
+        (pixel,), (depth,) = track.at(step).project(heads[[step]])
+        assert np.all(np.abs(pixel - (320, 240)) < 200)
+        assert 0.5 < depth < 3
+    np.testing.assert_array_equal(
+        camera_track(replay, f"{robot}/third_person").poses, camera_track(replay, "third_person").poses
+    )
+    with pytest.raises(InputError, match=r"Unknown camera 'nobody/third_person'"):
+        camera_track(replay, "nobody/third_person")
 
 
 def test_one_step_of_a_long_recording_is_found_from_those_around_it() -> None:
