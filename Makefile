@@ -7,7 +7,7 @@ GROUP ?=
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all test-browser check check-docs docs check-lerobot check-gltf web check-web format bench wheel clean
+.PHONY: setup demo test test-all test-browser test-ray check check-docs docs check-lerobot check-gltf web check-web format bench wheel clean
 
 setup: $(STAMP)
 
@@ -29,6 +29,9 @@ test-all: setup  ## the slow ones too
 test-browser: setup  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
 	$(BIN)/python -m pytest -m browser -rs
 	$(BIN)/python -m pytest -m slow -rs tests/viewers/hitl
+
+test-ray: setup  ## jobs on a Ray cluster of four nodes on this machine, some of which are killed
+	$(BIN)/python -m pytest -m slow -rs tests/pipelines/test_ray.py
 
 docs: setup  ## the documentation site, offline, into build/docs
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"

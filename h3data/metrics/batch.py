@@ -10,14 +10,17 @@ from __future__ import annotations
 import json
 import os
 import threading
+import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import Any
 
 from h3data.errors import InputError
 from h3data.metrics.episode import EpisodeMetrics
+from h3data.metrics.metric import Metric
 from h3data.metrics.profile import Profile
 from h3data.metrics.registry import measure, profile_for, profiles_named
 from h3data.metrics.requirements import UnmeasurableError, stored_columns
@@ -28,6 +31,26 @@ from h3data.recording.storage import AnyPath, RemotePath
 
 _CHUNK = 16
 """Episodes read together from a dataset."""
+_PART = 2048
+"""Episodes of a dataset in one part of `Spread` work: about a second."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Episodes that are measured together, by whom ever."""
+
+    source: AnyPath
+    episodes: range | None
+    """Of a dataset; None: a log."""
+    job: str
+    """Whose part it is: datasets stay open within a job."""
+
+
+Spread = Callable[[Callable[[Part], "list[Measured]"], Sequence[Part]], Iterable["list[Measured]"]]
+"""Applies a function to parts, anywhere, and gives its results in their order."""
+Measured = EpisodeMetrics | tuple[str, str, str]
+"""Metrics without the functions that compute them, or name, message and reason of an episode that is left out: all of it can
+be sent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +63,11 @@ class LeftOut:
 
 
 def measure_files(
-    paths: Iterable[str | os.PathLike[str] | RemotePath], profile: str | None = None, *, workers: int | None = None
+    paths: Iterable[str | os.PathLike[str] | RemotePath],
+    profile: str | None = None,
+    *,
+    workers: int | None = None,
+    spread: Spread | None = None,
 ) -> MetricsTable:
     """Returns the metrics of every recording in MCAP logs, datasets, and folders of these, which are walked.
 
@@ -50,20 +77,25 @@ def measure_files(
         paths: Files and folders.
         profile: Name of a profile (default: that of each recording's task).
         workers: Number of threads (default: one per core). The result does not depend on it.
+        spread: Has other processes or machines do the work, in place of threads.
 
     Raises:
         InputError: there is no recording; an episode occurs twice; metrics, steps or units differ; see `tabulate`.
         UnmeasurableError: none of the episodes can be measured.
     """
-    rows, left_out = _measured(paths, profile, workers)
+    rows, left_out = _measured(paths, profile, workers, spread)
     return tabulate(rows, profile=profile, left_out=_counted(left_out))
 
 
 def measure_tables(
-    paths: Iterable[str | os.PathLike[str] | RemotePath], profile: str | None = None, *, workers: int | None = None
+    paths: Iterable[str | os.PathLike[str] | RemotePath],
+    profile: str | None = None,
+    *,
+    workers: int | None = None,
+    spread: Spread | None = None,
 ) -> tuple[MetricsTable, ...]:
     """As `measure_files`, with a table for each task whose metrics differ; the first lists what is left out of all."""
-    rows, left_out = _measured(paths, profile, workers)
+    rows, left_out = _measured(paths, profile, workers, spread)
     groups: dict[tuple[str, ...], list[EpisodeMetrics]] = {}
     for row in rows:
         groups.setdefault(tuple(metric.id for metric in row.metrics), []).append(row)
@@ -74,7 +106,11 @@ def measure_tables(
 
 
 def measure_sources(
-    sources: Sequence[AnyPath], profile: str | None = None, *, workers: int | None = None
+    sources: Sequence[AnyPath],
+    profile: str | None = None,
+    *,
+    workers: int | None = None,
+    spread: Spread | None = None,
 ) -> Iterator[EpisodeMetrics | LeftOut]:
     """Yields the metrics of each episode of datasets and logs in order, or why there are none.
 
@@ -82,10 +118,67 @@ def measure_sources(
     """
     if profile is not None:
         profiles_named(profile)  # a misspelt name fails before the first episode is read
+    if spread is not None:
+        for measured in spread(partial(measure_part, profile=profile), parts_of(sources)):
+            for each in measured:
+                if isinstance(each, EpisodeMetrics):
+                    yield each
+                else:
+                    name, message, reason = each
+                    yield LeftOut(name=name, error=UnmeasurableError(message, reason))
+        return
     count = workers if workers is not None else len(os.sched_getaffinity(0))
     if count < 1:
         raise InputError(f"Expected at least one worker, got {count}.")
     yield from _in_order(_jobs(sources, profile), workers=count)
+
+
+def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
+    """The episodes of datasets and logs in parts of about a second, in order."""
+    job = uuid.uuid4().hex
+    parts: list[Part] = []
+    for source in sources:
+        if not source.is_dir():
+            parts.append(Part(source, None, job))
+            continue
+        count = len(_opened(source, job))
+        parts += [Part(source, range(k, min(k + _PART, count)), job) for k in range(0, count, _PART)]
+    return parts
+
+
+def measure_part(part: Part, profile: str | None) -> list[Measured]:
+    """What `measure_sources` gives of a part, as it can be sent."""
+    if part.episodes is None:
+        return [_sendable(_attempt(str(part.source), only(part.source), profile))]
+    dataset = _opened(part.source, part.job)
+    measured: list[Measured] = []
+    for start in range(part.episodes.start, part.episodes.stop, _CHUNK):
+        chunk = range(start, min(start + _CHUNK, part.episodes.stop))
+        for index, recording in zip(chunk, _read(dataset, chunk, profile), strict=True):
+            measured.append(_sendable(_attempt(f"{part.source}#{index}", recording, profile)))
+    return measured
+
+
+def lost_part(part: Part, fault: Exception) -> list[Measured]:
+    """The results of a part that nobody could measure."""
+    names = [str(part.source)] if part.episodes is None else [f"{part.source}#{index}" for index in part.episodes]
+    return [(name, str(fault), str(fault)) for name in names]
+
+
+@lru_cache(maxsize=1)
+def _opened(source: AnyPath, job: str) -> Dataset:
+    return Dataset(source)
+
+
+def _sendable(measured: EpisodeMetrics | LeftOut) -> Measured:
+    if isinstance(measured, LeftOut):
+        return measured.name, str(measured.error), measured.error.reason
+    return replace(measured, metrics=_described(measured.metrics))
+
+
+@lru_cache(maxsize=64)
+def _described(metrics: tuple[Metric, ...]) -> tuple[Metric, ...]:
+    return tuple(replace(metric, value=None) for metric in metrics)
 
 
 def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterator[Recording]:
@@ -105,12 +198,15 @@ def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterat
 
 
 def _measured(
-    paths: Iterable[str | os.PathLike[str] | RemotePath], profile: str | None, workers: int | None
+    paths: Iterable[str | os.PathLike[str] | RemotePath],
+    profile: str | None,
+    workers: int | None,
+    spread: Spread | None = None,
 ) -> tuple[list[EpisodeMetrics], list[LeftOut]]:
     sources = list(find_sources(paths))
     if not sources:
         raise InputError("Expected at least one recording (.mcap) or dataset.")
-    results = list(measure_sources(sources, profile, workers=workers))
+    results = list(measure_sources(sources, profile, workers=workers, spread=spread))
     left_out = [result for result in results if isinstance(result, LeftOut)]
     if left_out and len(left_out) == len(results):
         raise left_out[0].error

@@ -51,6 +51,7 @@ def generate(
     people: PeopleStyle = "skin",
     light: LightMode = "flat",
     workers: int = 1,
+    executor: str = "local",
     mcap: bool = False,
     share_scenes: bool = False,
     resume: bool = False,
@@ -91,6 +92,7 @@ def evaluate(
     human_speed: float | None = None,
     max_steps: int | None = None,
     workers: int = 1,
+    executor: str = "local",
     keep: bool = False,
     resume: bool = False,
     force: bool = False,
@@ -199,6 +201,7 @@ def rerender(
     steps: str = "",
     format: Literal["mp4", "av1", "png", "data"] = "mp4",
     workers: int | None = None,
+    executor: str = "local",
     force: bool = False,
 ) -> Rendered:
     """Renders recordings from any number of cameras into the folder ``out``; options as of ``h3data rerender``.

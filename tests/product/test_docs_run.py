@@ -49,6 +49,7 @@ ABSENT = {
     "hssd-hab": "scenes of HSSD",
     "replica_cad": "ReplicaCAD",
     "s3://": "a bucket; tests/recording and tests/pipelines use a stand-in",
+    "--executor ray": "a Ray cluster; tests/pipelines/test_ray.py has one",
     "bodies bake": "the extra bodies",
     "flat.navmesh": "a navmesh of Habitat; tests/habitat/navmesh runs these calls",
     "female_0_motion_data_smplx.pkl": "Habitat's motion of a person; tests/bodies/motion runs these calls",

@@ -6,7 +6,6 @@ import json
 import pickle
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.request import Request, urlopen
 
 import pytest
 
@@ -14,6 +13,7 @@ from h3data.errors import FormatError, InputError
 from h3data.recording import (
     Dataset,
     DatasetWriter,
+    Recording,
     RecordingWriter,
     WindowDataset,
     open_recording,
@@ -25,25 +25,15 @@ from h3data.recording import (
 )
 from h3data.recording.storage import RemotePath, masked, place
 from h3data_pipelines.cli import main
+from tests.object_store import bucket
 from tests.recording.strategies import simple_recording
 
 
 @pytest.fixture(scope="module")
 def s3() -> Iterator[str]:
     """URI of an empty bucket on a server of this process, found by the standard environment variables."""
-    server = pytest.importorskip("moto.server", reason="needs moto[server]")
-    running = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    running.start()
-    host, port = running.get_host_and_port()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
-        for name, value in (("ACCESS_KEY_ID", "k"), ("SECRET_ACCESS_KEY", "s"), ("DEFAULT_REGION", "us-east-1")):
-            patch.setenv(f"AWS_{name}", value)
-        patch.setenv("AWS_EC2_METADATA_DISABLED", "true")
-        urlopen(Request(f"http://{host}:{port}/bucket", method="PUT")).close()
-        yield "s3://bucket"
-        storage._filesystem.cache_clear()
-    running.stop()
+    with bucket() as uri:
+        yield uri
 
 
 @pytest.fixture(params=["mock", "s3"])
@@ -166,7 +156,9 @@ def test_logs_go_whole(store: str) -> None:
     uri = f"{store}/logs/e.mcap"
     assert str(write_mcap(EPISODES[2], uri)) == uri
     assert recordings_equal(read_mcap(uri), EPISODES[2]) == []
-    assert recordings_equal(open_recording(Path(uri)), EPISODES[2]) == []
+    opened = open_recording(Path(uri))
+    assert isinstance(opened, Recording)
+    assert recordings_equal(opened, EPISODES[2]) == []
     with pytest.raises(InputError, match="exists"):
         write_mcap(EPISODES[0], uri)
     write_mcap(EPISODES[0], uri, overwrite=True)

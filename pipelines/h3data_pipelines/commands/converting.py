@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,9 +27,14 @@ from h3data_pipelines.command import (
     remove_dataset,
     uninterrupted,
 )
+from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
+from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
 if TYPE_CHECKING:
     from h3data.recording import DatasetWriter, Recording
+
+_TOGETHER = 8
+"""Episodes of a shard."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,9 @@ class Convert:
     """Steps per second of LeRobot's time stamps in a dataset of episodes with other or irregular rates; the true times stay
     in time_ns (default: the rate of the first episode, which all must have)."""
     share_scenes: ShareScenesFlag = False
+    workers: int = 1
+    """Processes that write logs; a dataset has one writer."""
+    executor: ExecutorOption = "local"
     check: bool = False
     """Read everything back and compare it with the input bit for bit."""
     resume: bool = False
@@ -68,13 +77,14 @@ class Convert:
             raise InputError("Choose one: --resume continues the output, --force replaces it.")
         if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
             raise InputError(f"--nominal-fps must be at least 1 and at most 1000, got {self.nominal_fps}.")
+        check_workers(self.executor, self.workers)
         sources = find_episodes([self._source])
         if self._out.suffix == ".mcap" and not self._out.is_dir():
             if len(sources) != 1 or self.to == "dataset":
                 raise InputError(
                     f"{len(sources)} episodes cannot become one .mcap file. Name a folder instead: {self._out}"
                 )
-            return self._report([self._log(sources[0], self._out)], "mcap")
+            return self._report([self.log(sources[0], self._out)], "mcap")
         self._refuse_itself()
         to = self.to
         if to == "auto":
@@ -102,16 +112,29 @@ class Convert:
     def _logs(self, sources: list[StoredEpisode]) -> list[dict[str, Any]]:
         if not self.resume:
             claim_folder(self._out, force=self.force)
-        return [self._log(source, self._target(source)) for source in progress(sources, desc="convert", unit="episode")]
+        rows: list[dict[str, Any]] = []
+        parts = episode_parts([self._source], together=_TOGETHER)
+        with (
+            opened(self.executor, self.workers) as executor,
+            progress(total=len(sources), desc="convert", unit="episode") as bar,
+            closing(
+                executor.run(partial(write_logs, self), parts, lost=partial(_lost_logs, self), writes=True)
+            ) as results,
+        ):
+            for of_part in results:
+                rows += of_part
+                bar.update(len(of_part))
+        return rows
 
-    def _target(self, source: StoredEpisode) -> AnyPath:
+    def target(self, source: StoredEpisode) -> AnyPath:
         """The log's path below the output, as below the input; episode 3 of a dataset becomes ``DATASET/000003.mcap``."""
         if not self._source.is_dir():
             return self._out / f"{source.path.name.removesuffix('.mcap').replace('#', '_')}.mcap"
         at = self._out / source.path.relative_to(self._source)  # type: ignore[arg-type] - both lie in the same place
         return at if source.index is None else at / f"{source.index:06d}.mcap"
 
-    def _log(self, source: StoredEpisode, target: AnyPath) -> dict[str, Any]:
+    def log(self, source: StoredEpisode, target: AnyPath) -> dict[str, Any]:
+        """Writes an episode as a log; a row that says what became of it."""
         from h3data.recording import write_mcap
 
         row: dict[str, Any] = {"source": source.name, "recording": str(target)}
@@ -200,6 +223,20 @@ class Convert:
         )
         data = {"out": str(self._out), "to": to, "checked": self.check, **count, "episodes": rows}
         return Outcome(text="\n".join(lines), data=data, exit_code=1 if count["failed"] else 0)
+
+
+def write_logs(command: Convert, part: EpisodePart) -> list[dict[str, Any]]:
+    """Writes the episodes of a part as logs. The output folder was empty, or is gone on with or replaced: what an earlier try
+    of this part finished is kept."""
+    command = command if command.force else replace(command, resume=True)
+    return [command.log(source, command.target(source)) for source in part.sources()]
+
+
+def _lost_logs(command: Convert, part: EpisodePart, error: H3DataError) -> list[dict[str, Any]]:
+    return [
+        {"source": source.name, "recording": str(command.target(source)), "status": "failed", "reason": str(error)}
+        for source in part.sources()
+    ]
 
 
 def _read_log(path: AnyPath) -> Recording:

@@ -27,9 +27,10 @@ from h3data_pipelines.command import (
     remove_dataset,
     write_text,
 )
+from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.machine.warmup import compiled_aside
 from h3data_pipelines.outputs import Target
-from h3data_pipelines.pictures.rendering import core_count, render_files
+from h3data_pipelines.pictures.rendering import render_files
 
 FILES = (
     "episode.mcap",

@@ -11,6 +11,7 @@ import tyro
 
 from h3data.progress import progress
 from h3data_pipelines.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome, WalkOption
+from h3data_pipelines.execution.executors import ExecutorOption
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
 from h3data_pipelines.jobs.evaluations import ALL
 
@@ -71,6 +72,7 @@ class Evaluate:
     """Length limit of an episode (default: 1500)."""
     workers: int = 1
     """Processes."""
+    executor: ExecutorOption = "local"
     keep: bool = False
     """Keep the recordings, as datasets in OUT/recordings, for h3data report, view and rerender."""
     resume: bool = False
@@ -100,7 +102,7 @@ class Evaluate:
         )
         result = evaluate_task(
             request, self.out, keep=self.keep, resume=self.resume, force=self.force, workers=self.workers,
-            progress=progress,
+            executor=self.executor, progress=progress,
         )  # fmt: skip
         return Outcome(
             text=result.to_text(),

@@ -27,8 +27,8 @@ from h3data_pipelines.command import (
     open_episode,
     remove_dataset,
 )
+from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.hub.provenance import command_line, read_commands, write_commands
-from h3data_pipelines.pictures.rendering import core_count
 
 
 @dataclass(frozen=True)

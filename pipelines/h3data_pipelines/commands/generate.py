@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import json as json_module
 import math
-import shutil
-import time
 from collections.abc import Sequence
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
-from h3data.recording import Recording
 from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
 from h3data_pipelines.command import (
@@ -37,6 +33,8 @@ from h3data_pipelines.command import (
     remove_dataset,
     uninterrupted,
 )
+from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
+from h3data_pipelines.execution.shards import Executor
 from h3data_pipelines.hub.provenance import command_line, write_commands
 from h3data_pipelines.jobs.episode_files import (
     FileJobs,
@@ -49,15 +47,16 @@ from h3data_pipelines.jobs.episode_files import (
 from h3data_pipelines.jobs.episodes import Choices, Job, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
-from h3data_pipelines.jobs.running import Filming, film_jobs
-from h3data_pipelines.pictures.rendering import core_count
+from h3data_pipelines.jobs.running import Filmed, Filming, film_jobs
 
 if TYPE_CHECKING:
     from h3data.recording import DatasetWriter
-    from h3data.recording.parquet.videos import EpisodeVideo
 
-COMMIT_S = 60.0
-"""At most the work of this time is lost when the process is killed."""
+COMMIT_STEPS = 30_000
+"""Steps after which episodes are committed: about a minute of one core's work is lost when the process is killed. Not seconds:
+which files a dataset has must not depend on the speed of the machine."""
+FRAME_STEPS = 4
+"""Steps that a frame of a video counts as."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +144,7 @@ class Generate:
     """Of the videos. flat is what policies see whose cameras are rendered as they act."""
     workers: int = 1
     """Processes."""
+    executor: ExecutorOption = "local"
     mcap: bool = False
     """Also write each episode as <out>/mcap/<episode>.mcap, at the end."""
     share_scenes: ShareScenesFlag = False
@@ -172,16 +172,17 @@ class Generate:
             asked = asked._replace(left_out=(*asked.left_out, *unsaved))
         if self.dry_run:
             return self._plan(asked)
-        if self.force:
-            remove_dataset(out)
-        if self.resume:
-            require_same_options(out, jobs, cameras=self.camera)
-        else:
-            claim_folder(out, force=False)
-        like = widest_episode(jobs)
-        with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume, like=like) as writer:
-            done = len(writer)
-            self._simulate(jobs[done:], writer)
+        with opened(self.executor, self.workers) as executor:
+            if self.force:
+                remove_dataset(out)
+            if self.resume:
+                require_same_options(out, jobs, cameras=self.camera)
+            else:
+                claim_folder(out, force=False)
+            like = widest_episode(jobs)
+            with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume, like=like) as writer:
+                done = len(writer)
+                self._simulate(jobs[done:], writer, executor)
         write_commands(out, [command_line("generate", self)])
         written = ReadBack(
             Dataset(out), out / "mcap" if self.mcap else None, share_in=out if self.share_scenes else None
@@ -236,36 +237,36 @@ class Generate:
         plan |= {"left_out": list(asked.left_out), "warnings": list(asked.warnings)}
         return Outcome(text=text + notes_on(asked), data={"plan": plan}, exit_code=1 if asked.left_out else 0)
 
-    def _simulate(self, jobs: Sequence[Job], writer: DatasetWriter) -> None:
+    def _simulate(self, jobs: Sequence[Job], writer: DatasetWriter, executor: Executor) -> None:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
         played = first_played(writer)
-        waiting: list[tuple[Recording, Sequence[EpisodeVideo]]] = []
-        committed, failures = time.monotonic(), 0
+        waiting: list[Filmed] = []
+        uncommitted, failures = 0, 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
-        with TemporaryDirectory(prefix="h3data-", ignore_cleanup_errors=True) as folder, bar, ExitStack() as stack:
-            threads = max(core_count() // self.workers, 1)
-            filming = Filming(self.camera, Path(folder), threads=threads, people=self.people, light=self.light)
-            filmed = stack.enter_context(closing(film_jobs(jobs, filming=filming, workers=self.workers)))
-            for job, (recording, videos) in zip(jobs, filmed, strict=True):
-                waiting.append((recording, videos))
-                if is_failed(recording):
+        filming = Filming(self.camera, threads=executor.threads, people=self.people, light=self.light)
+        with bar, closing(film_jobs(jobs, filming=filming, executor=executor)) as results:
+            for filmed in results:
+                waiting.append(filmed)
+                if is_failed(filmed.recording):
                     bar.set_postfix(failed=(failures := failures + 1), refresh=False)
                 else:
-                    played = played or recording
+                    played = played or filmed.recording
                 if played is not None:
                     with uninterrupted():
-                        for each, of_each in waiting:
-                            writer.add(beside(each, played) if is_failed(each) else each, videos=of_each)
+                        for each in waiting:
+                            with each.video_files() as videos:
+                                it = each.recording
+                                writer.add(beside(it, played) if is_failed(it) else it, videos=videos)
+                            uncommitted += len(it) * (1 + FRAME_STEPS * len(self.camera))
                         waiting.clear()
-                        shutil.rmtree(filming.of(job), ignore_errors=True)
-                        if time.monotonic() - committed > COMMIT_S:
+                        if uncommitted >= COMMIT_STEPS:
                             writer.commit()
-                            committed = time.monotonic()
+                            uncommitted = 0
                 bar.update()
         with uninterrupted():
             writer.commit()
         if waiting:
-            first = waiting[0][0].episode
+            first = waiting[0].recording.episode
             raise H3DataError(
                 f"No episode could be played, {counted(len(waiting), 'episode')} failed. The first, {first.episode_id} in "
                 f"{first.scene} (seed {first.seed}): {first.info['failed']}"
@@ -278,6 +279,7 @@ class Generate:
     def _jobs(self) -> FileJobs:
         """All episodes, and why others of a file are left out."""
         self._check_numbers()
+        check_workers(self.executor, self.workers)
         choices = Choices(
             task=self.task,
             policy=self.policy,
@@ -300,7 +302,7 @@ class Generate:
     def _check_numbers(self) -> None:
         for name, value, least in (
             ("--episodes", self.episodes, 1), ("--homes", self.homes, 1), ("--max-steps", self.max_steps, 1),
-            ("--workers", self.workers, 1), ("--seed", self.seed, 0),
+            ("--seed", self.seed, 0),
         ):  # fmt: skip
             if value is not None and value < least:
                 raise InputError(f"{name} must be at least {least}, got {value}.")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +13,8 @@ import tyro
 
 from h3data.errors import InputError
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
+from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
+from h3data_pipelines.execution.processes import core_count
 
 if TYPE_CHECKING:
     from h3data.metrics import Metric
@@ -48,7 +53,8 @@ class Metrics:
     events: Path | None = None
     """Write the spans of rows in which flags hold (found, yields, collision, ...) to this .parquet or .csv."""
     workers: int | None = None
-    """Number of threads (default: one per core)."""
+    """Number of threads (default: one per core), or of Ray's workers."""
+    executor: ExecutorOption = "local"
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -72,7 +78,8 @@ class Metrics:
         from h3data.metrics.table_files import write_events, write_series, write_table
         from h3data.recording.finding import find_sources
 
-        tables = measure_tables(self.recordings, self.profile, workers=self.workers)
+        with self._by() as who:
+            tables = measure_tables(self.recordings, self.profile, **who)
         first = tables[0]
         if len(tables) > 1 and (self.out or self.series or self.events):
             tasks = ", ".join(f"{t.episodes[0].task} ({len(t)} episodes, profile {t.profile})" for t in tables)
@@ -94,6 +101,18 @@ class Metrics:
         data = {"tables": [{"task": t.episodes[0].task, **t.to_dict()} for t in tables]}
         return Outcome(text=text, data=data, exit_code=exit_code)
 
+    @contextmanager
+    def _by(self) -> Iterator[dict[str, Any]]:
+        """Who does the work, as `h3data.metrics.batch` takes it: threads, which do as well here as processes, or Ray."""
+        from h3data.metrics.batch import lost_part
+
+        check_workers(self.executor, self.workers)
+        if self.executor == "local":
+            yield {"workers": self.workers}
+            return
+        with opened(self.executor, self.workers or core_count()) as executor:
+            yield {"spread": partial(executor.run, lost=lost_part)}
+
     def _compare(self) -> Outcome:
         from h3data.metrics.batch import measure_files
         from h3data.metrics.differences import compare_tables
@@ -107,7 +126,8 @@ class Metrics:
             raise InputError(f"A comparison is written as .json, got {self.out.name!r}.")
         if self.series is not None or self.events is not None:
             raise InputError("--series and --events describe one run; leave out --paired.")
-        first, second = (measure_files([path], self.profile, workers=self.workers) for path in self.recordings)
+        with self._by() as who:
+            first, second = (measure_files([path], self.profile, **who) for path in self.recordings)
         a, b = (path.stem or str(path) for path in self.recordings)
         differences = compare_tables(first, second, names=(a, b) if a != b else ("A", "B"))
         if self.out is not None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from contextlib import closing
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +14,12 @@ import tyro
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.episodes import StoredEpisode
-from h3data.recording.finding import find_episodes
 from h3data_pipelines.command import JsonFlag, Outcome
+from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
+from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
+_TOGETHER = 16
+"""Episodes of a shard: some tenths of a second."""
 _SHOWN = 4
 """Findings per kind and recording in the text; JSON has all."""
 
@@ -42,19 +47,26 @@ class Validate:
     """Check every part of every agent, and what it holds, against walls and furniture (FCL; about 1 ms per agent and step)."""
     strict: bool = False
     """Count warnings as errors."""
+    workers: int = 1
+    """Processes."""
+    executor: ExecutorOption = "local"
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        from h3data.habitat.asset_library import AssetLibrary
-
+        check_workers(self.executor, self.workers)
         if not self.paths:
             raise InputError("Expected at least one recording (.mcap) or dataset.")
-        sources = find_episodes(self.paths)
-        library = AssetLibrary(self.assets)
-        rows = [
-            self._row(source, library, alone=len(sources) == 1)
-            for source in progress(sources, desc="validate", unit="episode")
-        ]
+        parts = episode_parts(self.paths, together=_TOGETHER)
+        rows: list[dict[str, Any]] = []
+        bar = progress(total=parts[0].count if parts else 0, desc="validate", unit="episode")
+        with (
+            opened(self.executor, self.workers) as executor,
+            bar,
+            closing(executor.run(partial(validate_part, self), parts, lost=_lost)) as results,
+        ):
+            for of_part in results:
+                rows += of_part
+                bar.update(len(of_part))
         failed = sum(row["verdict"] == "failed" for row in rows)
         counts = {
             s: Counter(f["check"] for row in rows for f in row["findings"] if f["severity"] == s) for s in _SEVERITIES
@@ -62,7 +74,8 @@ class Validate:
         data: dict[str, Any] = {"recordings": len(rows), "failed": failed, **counts, "episodes": rows}
         return Outcome(text=_text(rows, failed), data=data, exit_code=1 if failed else 0)
 
-    def _row(self, source: StoredEpisode, library: Any, *, alone: bool) -> dict[str, Any]:
+    def row(self, source: StoredEpisode, library: Any, *, alone: bool) -> dict[str, Any]:
+        """What is found in one recording."""
         from h3data.replay.validation import Finding, validate_recording
 
         steps = 0
@@ -89,6 +102,21 @@ class Validate:
         verdict = "failed" if bad else "warnings" if findings else "sound"
         rows = [asdict(f) for f in findings]
         return {"recording": source.name, "steps": steps, "verdict": verdict, "findings": rows}
+
+
+def validate_part(command: Validate, part: EpisodePart) -> list[dict[str, Any]]:
+    """The rows of a part."""
+    from h3data.habitat.asset_library import AssetLibrary
+
+    library = AssetLibrary(command.assets)
+    return [command.row(source, library, alone=part.count == 1) for source in part.sources()]
+
+
+def _lost(part: EpisodePart, error: H3DataError) -> list[dict[str, Any]]:
+    finding = {"check": "unreadable", "severity": "error", "subject": "", "text": str(error)}
+    return [
+        {"recording": source.name, "steps": 0, "verdict": "failed", "findings": [finding]} for source in part.sources()
+    ]
 
 
 _SEVERITIES = ("error", "warning")

@@ -14,7 +14,7 @@ from h3data_pipelines.command import Command
 from h3data_pipelines.options import options_of
 
 FILE = "commands.json"
-_NOT_KEPT = ("out", "workers", "resume", "force", "json", "dry_run", "mcap", "share_scenes")
+_NOT_KEPT = ("out", "workers", "executor", "resume", "force", "json", "dry_run", "mcap", "share_scenes")
 """Options that do not decide what is in the dataset."""
 _FOLDERS = re.compile(r"(?<![\w.~-])[/~](?:[^/,\s:]*/)+")
 

@@ -16,12 +16,19 @@ from typing import Any
 
 from h3data.errors import FormatError, InputError
 from h3data_pipelines.command import claim_folder, write_text
+from h3data_pipelines.execution.executors import check_workers, opened
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.jobs.episode_files import FileJobs, notes_on, requested_jobs
 from h3data_pipelines.jobs.episodes import Choices
-from h3data_pipelines.jobs.evaluations import ALL, Evaluation, chosen_names, play_evaluation
+from h3data_pipelines.jobs.evaluations import (
+    ALL,
+    Evaluation,
+    chosen_names,
+    failed_evaluation,
+    play_evaluation,
+    write_recordings,
+)
 from h3data_pipelines.jobs.policy_table import PolicyTable, policy_table
-from h3data_pipelines.jobs.running import run_jobs
 
 RESULTS, RECORDINGS = "episodes", "recordings"
 """Folders below that of an evaluation."""
@@ -139,6 +146,7 @@ def evaluate_task(
     resume: bool = False,
     force: bool = False,
     workers: int = 1,
+    executor: str = "local",
     progress: Callable[..., Any] | None = None,
 ) -> EvaluationResult:
     """Plays every policy with every partner in the same episodes, and writes results, tables and recordings to ``out``.
@@ -152,14 +160,14 @@ def evaluate_task(
         resume: Whether ``out`` must hold an evaluation to go on with.
         force: Whether results in ``out`` are deleted first.
         workers: Number of processes.
+        executor: Who starts them: ``local``, ``ray`` or ``ray://host:port``.
         progress: Makes a progress bar: called with ``total``, ``initial``, ``desc`` and ``unit``.
 
     Raises:
         InputError: an option cannot be, or the folder holds results of other options, or anything else.
         FormatError: a file among the results is none.
     """
-    if workers < 1:
-        raise InputError(f"--workers must be at least 1, got {workers}.")
+    check_workers(executor, workers)
     if force and resume:
         raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.")
     jobs, asked = request.evaluations()
@@ -174,14 +182,23 @@ def evaluate_task(
         shutil.rmtree(recordings, ignore_errors=True)
     if keep:
         recordings.mkdir(exist_ok=True)
-        jobs = [replace(job, keep=recordings / f"{job.base.index:06d}") for job in jobs]
+        jobs = [replace(job, keep=True) for job in jobs]
     files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
-    wanted = [job for job in jobs if not _is_done(files[job.base.index], job)]
+    kept = {job.base.index: recordings / f"{job.base.index:06d}" for job in jobs}
+    wanted = [job for job in jobs if not _is_done(files[job.base.index], job, kept[job.base.index])]
     made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
     bar = (progress or _Quiet)(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode")
-    with bar, closing(run_jobs(play_evaluation, wanted, workers=workers)) as results:
-        for result in results:
+    with (
+        opened(executor, workers) as workforce,
+        bar,
+        closing(
+            workforce.run(play_evaluation, wanted, lost=lambda job, fault: (failed_evaluation(job, fault), []))
+        ) as results,
+    ):
+        for result, of_pairs in results:
             index = result["job"]["episode"]["index"]
+            if keep:
+                write_recordings(of_pairs, kept[index])
             write_text(files[index], json.dumps({**result, "created_by": made_by, "origin": origins[index]}) + "\n")
             bar.update()
     played = [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs]
@@ -253,7 +270,7 @@ def _table(job: Evaluation, rows: list[dict[str, Any]], zsc: Sequence[str]) -> P
     return policy_table(profile_for(task.name, {"profile": task.profile}), rows)
 
 
-def _is_done(file: Path, job: Evaluation) -> bool:
+def _is_done(file: Path, job: Evaluation, recordings: Path) -> bool:
     """Whether the results of this very job are there, none of them failed; others' are refused."""
     if not file.is_file():
         return False
@@ -266,4 +283,4 @@ def _is_done(file: Path, job: Evaluation) -> bool:
         raise InputError(
             f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
         )
-    return not failed and (job.keep is None or job.keep.is_dir())
+    return not failed and (not job.keep or recordings.is_dir())

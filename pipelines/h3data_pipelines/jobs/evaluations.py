@@ -26,8 +26,8 @@ class Evaluation:
     policies: tuple[str, ...]
     partners: tuple[str, ...] = ()
     """Empty: people follow the task's default."""
-    keep: Path | None = None
-    """Folder of a dataset with the recordings of all pairs, made anew; None: they are not kept."""
+    keep: bool = False
+    """Whether the recordings of all pairs are results too."""
 
     def to_json(self) -> dict[str, Any]:
         """What decides the results."""
@@ -38,8 +38,9 @@ class Evaluation:
         return {**asked, "partners": list(self.partners)} if self.partners else asked
 
 
-def play_evaluation(job: Evaluation) -> dict[str, Any]:
-    """The metrics of every pair in one episode. A pair, or an episode, that raises is listed as failed.
+def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
+    """The metrics of every pair in one episode, and the recordings that are kept. A pair, or an episode, that raises
+    is listed as failed.
 
     Partners with the same plan share a recording, whose ``info["partners"]`` names them.
     """
@@ -52,7 +53,7 @@ def play_evaluation(job: Evaluation) -> dict[str, Any]:
     try:
         task, episode = job.base.found_task, job.base.episode()
     except Exception as fault:
-        return {"job": job.to_json(), "rows": [], "failed": [reason_of(fault)]}
+        return failed_evaluation(job, fault), []
     for policy in job.policies:
         played: dict[str, dict[str, Any]] = {}  # partners with one plan do the same
         recordings: dict[str, Recording] = {}
@@ -64,7 +65,7 @@ def play_evaluation(job: Evaluation) -> dict[str, Any]:
                 if plan not in played:
                     recording = simulate(task, episode, {**chosen, **({"human": plan} if plan else {})})
                     measured = measure(recording)
-                    if job.keep is not None:
+                    if job.keep:
                         recordings[plan] = recording
                     info = recording.episode.info
                     played[plan] = {
@@ -83,9 +84,12 @@ def play_evaluation(job: Evaluation) -> dict[str, Any]:
                 pair = policy if partner is None else f"{policy} with {partner}"
                 failed.append(f"{pair}: {reason_of(fault)}")
         kept += [_named(recording, policy, partners.get(plan, [])) for plan, recording in recordings.items()]
-    if job.keep is not None:
-        _write_dataset(kept, job.keep)
-    return {"job": job.to_json(), "rows": rows, "failed": failed}
+    return {"job": job.to_json(), "rows": rows, "failed": failed}, kept
+
+
+def failed_evaluation(job: Evaluation, fault: Exception) -> dict[str, Any]:
+    """The results of an episode of which nothing could be played."""
+    return {"job": job.to_json(), "rows": [], "failed": [reason_of(fault)]}
 
 
 def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Recording:
@@ -94,8 +98,8 @@ def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Record
     return replace(recording, episode=replace(recording.episode, info=info))
 
 
-def _write_dataset(recordings: Sequence[Recording], folder: Path) -> None:
-    """A dataset that appears under its name when it is complete."""
+def write_recordings(recordings: Sequence[Recording], folder: Path) -> None:
+    """A dataset that appears under its name when it is complete; none of no recordings."""
     from h3data.recording import DatasetWriter
 
     part = folder.with_name(f".{folder.name}.part")

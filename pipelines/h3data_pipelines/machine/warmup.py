@@ -21,7 +21,7 @@ from h3data.errors import H3DataError
 from h3data.kernels import compiled_count, compiled_files
 from h3data.progress import QUIET, is_quiet
 from h3data_pipelines.command import JsonFlag, Outcome, counted
-from h3data_pipelines.pictures.rendering import core_count
+from h3data_pipelines.execution.processes import core_count
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,16 @@ import errno
 import re
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from h3data.errors import H3DataError, InputError
+from h3data.progress import progress
 from h3data.recording.storage import local
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_pipelines.command import (
@@ -27,10 +29,12 @@ from h3data_pipelines.command import (
     keeping,
     open_episode,
 )
+from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
+from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.jobs.camera_log import CameraLog
 from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.outputs import OUTPUTS, Format, Target
-from h3data_pipelines.pictures.rendering import core_count, frames_per_second, render_files
+from h3data_pipelines.pictures.rendering import frames_per_second, render_files
 
 if TYPE_CHECKING:
     from h3data.render import Output
@@ -77,18 +81,18 @@ class Rerender:
     people: PeopleOption = "skin"
     light: LightOption = "baked"
     workers: int | None = None
-    """Number of render threads (default: one per core)."""
+    """Number of render threads (default: one per core), or of Ray's workers, each for a recording."""
+    executor: ExecutorOption = "local"
     dry_run: DryRunFlag = False
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        outputs = parse_outputs(self.outputs)
+        parse_outputs(self.outputs)
         local(self.out)
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap).")
-        if self.workers is not None and self.workers < 1:
-            raise InputError(f"--workers must be at least 1, got {self.workers}.")
+        check_workers(self.executor, self.workers)
         stems = [recording_stem(path) for path in self.recordings]
         duplicates = sorted({stem for stem in stems if stems.count(stem) > 1})
         if duplicates:
@@ -96,18 +100,15 @@ class Rerender:
                 f"Several recordings are called {duplicates[0]!r}: their videos would overwrite each other. "
                 "Render them one at a time, each with a different -o."
             )
+        shards = [
+            Shard(path, stem, f"[{k + 1}/{len(stems)}] " if len(stems) > 1 else "")
+            for k, (path, stem) in enumerate(zip(self.recordings, stems, strict=True))
+        ]
         lines, rows = [], []
-        for number, (path, stem) in enumerate(zip(self.recordings, stems, strict=True)):
-            counter = f"[{number + 1}/{len(stems)}] " if len(stems) > 1 else ""
-            try:
-                with keeping(lambda: self._kept(rows)):
-                    text, row = self._render(path, stem, outputs, counter)
-            except H3DataError as error:
-                if len(stems) == 1 or isinstance(error, DiskFullError):
-                    raise
-                text, row = [f"failed {path}: {error}"], {"recording": str(path), "error": str(error)}
-            lines += text
-            rows.append(row)
+        with keeping(lambda: self._kept(rows)), ExitStack() as stack:
+            for text, row in self._rendered(shards, stack):
+                lines += text
+                rows.append(row)
         failed = sum("error" in row for row in rows)
         if failed:
             lines.append(f"{failed} of {len(rows)} recordings could not be rendered")
@@ -117,7 +118,18 @@ class Rerender:
         )
         return Outcome(text="\n".join(lines), data={"recordings": rows}, result=result, exit_code=1 if failed else 0)
 
-    def _render(
+    def _rendered(self, shards: Sequence[Shard], stack: ExitStack) -> Iterator[RenderedShard]:
+        """All recordings in order: one after the other by threads of this process, or side by side by Ray."""
+        work = partial(render_shard, self, alone=len(shards) == 1)
+        if self.executor == "local":
+            return map(work, shards)
+        executor = stack.enter_context(opened(self.executor, self.workers or core_count()))
+        work = partial(render_shard, replace(self, executor="local", workers=executor.threads), alone=len(shards) == 1)
+        bar = stack.enter_context(progress(total=len(shards), desc="render", unit="recording"))
+        results = stack.enter_context(closing(executor.run(work, shards, lost=_lost, writes=True)))
+        return _counting(results, bar)
+
+    def render(
         self, path: Path, stem: str, outputs: Sequence[Output], counter: str
     ) -> tuple[list[str], dict[str, Any]]:
         """Renders one recording; returns a summary as lines of text and as JSON data."""
@@ -190,6 +202,40 @@ class Rerender:
                 mark.unlink()
             raise
         mark.unlink()
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One recording to render."""
+
+    path: Path
+    stem: str
+    counter: str
+    """``[2/7] ``."""
+
+
+RenderedShard = tuple[list[str], dict[str, Any]]
+"""A summary as lines of text and as JSON data."""
+
+
+def render_shard(command: Rerender, shard: Shard, *, alone: bool) -> RenderedShard:
+    """Renders one recording. What cannot be rendered is listed, unless it is the only one or the disk is full."""
+    try:
+        return command.render(shard.path, shard.stem, parse_outputs(command.outputs), shard.counter)
+    except H3DataError as error:
+        if alone or isinstance(error, DiskFullError):
+            raise
+        return _lost(shard, error)
+
+
+def _counting(results: Iterator[RenderedShard], bar: Any) -> Iterator[RenderedShard]:
+    for result in results:
+        bar.update()
+        yield result
+
+
+def _lost(shard: Shard, error: H3DataError) -> RenderedShard:
+    return [f"failed {shard.path}: {error}"], {"recording": str(shard.path), "error": str(error)}
 
 
 class DiskFullError(InputError):

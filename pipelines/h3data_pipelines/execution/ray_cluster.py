@@ -1,0 +1,274 @@
+"""Shards by the workers of a Ray cluster, or of Ray on this machine.
+
+Ray only carries shards and results; which shards there are, and their results, are those of `Processes`. A worker or node
+that dies costs the shards it had: they are tried again. A straggler is tried a second time when nothing else is left to
+begin, and the first result counts.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import pickle
+import signal
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from h3data.errors import H3DataError, InputError, MissingExtraError
+from h3data_pipelines.execution.ray_worker import Origin, portable_task
+from h3data_pipelines.execution.shards import LostShardError, R, S
+
+TRIES = 4
+"""Times that a shard is begun again after the process that had it died, the first one included."""
+_AHEAD = 4
+"""Results that may wait for an earlier one, per worker."""
+_SLOW = 3.0
+"""A straggler takes this many times as long as the median of the shards before it."""
+_SLOW_S = 30.0
+"""Nothing is a straggler before this time: workers take seconds to start."""
+_DIAL_S = 5.0
+_REASONS = {
+    "NodeDiedError": "its node died",
+    "WorkerCrashedError": "its process died",
+    "OutOfMemoryError": "its node ran out of memory",
+    "ObjectLostError": "its node died with the result",
+}
+_log = logging.getLogger(__name__)
+
+
+@contextmanager
+def ray_cluster(address: str, workers: int) -> Iterator[RayWorkers]:
+    """The executor ``ray`` (``address`` is empty: the cluster that runs here or that RAY_ADDRESS names, else Ray is started on
+    this machine) or ``ray://host:port`` (a Ray Client server, usually on the cluster's head).
+
+    Raises:
+        MissingExtraError: Ray is not installed.
+        InputError: there is no cluster at the address, or it has another version of Ray or Python.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray tells its makers otherwise
+    try:
+        import ray
+    except ImportError:
+        raise MissingExtraError('--executor ray needs Ray. Hint: pip install "h3data[ray]"') from None
+    if ray.is_initialized():  # from Python, by somebody who will end it
+        yield RayWorkers(workers)
+        return
+    with _signals_kept():
+        _connect(ray, address, workers)
+    try:
+        # Ray prints twenty lines on stdout, which is for results, when a node dies; `_UnderWay` says it in one, in the log
+        with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+            yield RayWorkers(workers)
+    finally:
+        ray.shutdown()
+
+
+def _connect(ray: Any, address: str, workers: int) -> None:
+    where = address or os.environ.get("RAY_ADDRESS", "")
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
+    try:
+        if where.startswith("ray://") or where not in ("", "auto", "local"):
+            _dial(where)
+            ray.init(where, **quiet)
+        else:
+            try:
+                if where == "local":
+                    raise ConnectionError
+                ray.init("auto", **quiet)
+            except ConnectionError:
+                ray.init("local", num_cpus=workers, include_dashboard=False, **quiet)
+    except ImportError as error:  # the client's own packages
+        raise MissingExtraError(f'{where} needs Ray\'s client ({error}). Hint: pip install "h3data[ray]"') from None
+    except (RuntimeError, ValueError, OSError) as error:
+        ray.shutdown()
+        text = " ".join(str(error).split())
+        if "ersion mismatch" in text or "versions are different" in text:
+            raise InputError(f"The cluster has another version of Ray or Python: {text}") from None
+        raise InputError(
+            f"There is no Ray cluster at {where or 'this machine'} ({text[:200]}). Start one with `ray start --head`, or "
+            "use --executor ray without an address."
+        ) from None
+
+
+def _dial(where: str) -> None:
+    """Fails fast where nobody listens: Ray itself tries for half a minute."""
+    host, _, port = where.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit():
+        raise InputError(f"Expected --executor ray://HOST:PORT, such as ray://10.0.0.5:10001, got {where!r}.")
+    socket.create_connection((host.strip("[]"), int(port)), timeout=_DIAL_S).close()
+
+
+@contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Ray handles SIGTERM for itself; here it means what it meant before: stop, keep what is finished."""
+    numbers = (signal.SIGTERM, signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in numbers}
+    try:
+        yield
+    finally:
+        with suppress(ValueError):  # not in the main thread
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+@dataclass(frozen=True)
+class RayWorkers:
+    """The executor ``ray``."""
+
+    workers: int
+    threads: int = 1
+
+    def run(
+        self,
+        work: Callable[[S], R],
+        shards: Sequence[S],
+        *,
+        lost: Callable[[S, LostShardError], R] | None = None,
+        writes: bool = False,
+    ) -> Generator[R]:
+        """As `Executor.run`. Work that raises ends the job; a process that dies costs its shards only."""
+        under_way = _UnderWay(work, shards, self.workers, writes)
+        try:
+            for index in range(len(shards)):
+                outcome = under_way.result(index)
+                if isinstance(outcome, LostShardError) and lost is not None:
+                    yield lost(shards[index], outcome)
+                elif isinstance(outcome, Exception):
+                    raise outcome
+                else:
+                    yield outcome
+        finally:
+            under_way.cancel()
+
+
+@dataclass
+class _Attempt:
+    index: int
+    """Which shard."""
+    since: float
+
+
+@dataclass(eq=False)
+class _UnderWay:
+    """The shards of one job: begun, tried again, and their results until they are asked for."""
+
+    work: Callable[[Any], Any]
+    shards: Sequence[Any]
+    workers: int
+    writes: bool
+    attempts: dict[Any, _Attempt] = field(default_factory=dict)
+    """What runs, by Ray's reference."""
+    done: dict[int, Any] = field(default_factory=dict)
+    tries: Counter[int] = field(default_factory=Counter)
+    took_s: list[float] = field(default_factory=list)
+    begun: int = 0
+    again: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        import ray
+
+        self.task = ray.remote(num_cpus=1, max_retries=0)(portable_task())
+        self.origin = Origin.of_this_process().to_json()
+
+    def result(self, wanted: int) -> Any:
+        """The result of a shard, or the error with which it ended; those before it must have been asked for."""
+        wait_s = 0.0
+        while True:
+            self._begin(wanted)
+            self._collect(wait_s)
+            if wanted in self.done:
+                return self.done.pop(wanted)
+            wait_s = 1.0
+
+    def cancel(self) -> None:
+        """Stops everything that runs."""
+        for reference in self.attempts:
+            _cancel(reference)
+        self.attempts.clear()
+
+    def _begin(self, wanted: int) -> None:
+        """Fills the workers: what was lost first, then new shards, then a second try of the slowest."""
+        while len(self.attempts) < self.workers:
+            if self.again:
+                self._submit(self.again.pop(0))
+            elif self.begun < min(len(self.shards), wanted + _AHEAD * self.workers):
+                self.begun += 1
+                self._submit(self.begun - 1)
+            elif (slow := self._straggler()) is not None:
+                _log.warning("shard %d takes long: it is tried a second time", slow)
+                self._submit(slow)
+            else:
+                return
+
+    def _straggler(self) -> int | None:
+        """The first shard that runs once and takes much longer than others did."""
+        if self.writes or not self.took_s:
+            return None
+        usual = sorted(self.took_s)[len(self.took_s) // 2]
+        running = Counter(attempt.index for attempt in self.attempts.values())
+        now, limit = time.monotonic(), max(_SLOW * usual, _SLOW_S)
+        slow = [a.index for a in self.attempts.values() if running[a.index] == 1 and now - a.since > limit]
+        return min(slow, default=None)
+
+    def _submit(self, index: int) -> None:
+        # pickled here, as for processes of this machine: what arrives is the same
+        payload = pickle.dumps((self.work, self.shards[index]))
+        self.attempts[self.task.remote(self.origin, payload)] = _Attempt(index, time.monotonic())
+
+    def _collect(self, wait_s: float) -> None:
+        import ray
+        from ray.exceptions import RayError, RayTaskError
+
+        if not self.attempts:
+            return
+        ready, _ = ray.wait([*self.attempts], num_returns=1, timeout=wait_s)
+        for reference in ready:
+            attempt = self.attempts.pop(reference)
+            try:
+                kind, answer = ray.get(reference)
+            except RayTaskError as error:
+                raise H3DataError(f"A Ray worker could not begin: {' '.join(str(error.cause).split())}") from None
+            except RayError as error:
+                self._lost(attempt.index, error)
+                continue
+            if kind == "refused":
+                raise InputError(answer)
+            self._finished(attempt, pickle.loads(answer))
+
+    def _finished(self, attempt: _Attempt, result: Any) -> None:
+        self.took_s.append(time.monotonic() - attempt.since)
+        self.done[attempt.index] = result
+        if attempt.index in self.again:
+            self.again.remove(attempt.index)
+        for reference, other in [*self.attempts.items()]:
+            if other.index == attempt.index:
+                _cancel(reference)
+                del self.attempts[reference]
+
+    def _lost(self, index: int, error: Exception) -> None:
+        """A worker died with a shard, or its result with a node."""
+        if index in self.done or any(attempt.index == index for attempt in self.attempts.values()):
+            return
+        self.tries[index] += 1
+        reason = _REASONS.get(type(error).__name__, type(error).__name__)
+        if self.tries[index] < TRIES:
+            _log.warning(
+                "shard %d was lost (%s): it is tried again (%d of %d)", index, reason, self.tries[index] + 1, TRIES
+            )
+            self.again.append(index)
+        else:
+            text = f"No worker finished it in {TRIES} tries; at the last one {reason}"
+            _log.warning("shard %d is given up: %s", index, text)
+            self.done[index] = LostShardError(text)
+
+
+def _cancel(reference: Any) -> None:
+    import ray
+
+    with suppress(Exception):  # it may be over, or the cluster gone
+        ray.cancel(reference, force=True)

@@ -1,0 +1,117 @@
+"""Who does the work: names, refusals, and the order of results, without Ray."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import socket
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from h3data.errors import H3DataError, InputError, MissingExtraError
+from h3data_pipelines.cli import main
+from h3data_pipelines.execution import ray_worker
+from h3data_pipelines.execution.executors import check_workers, opened
+from h3data_pipelines.execution.processes import Processes
+from h3data_pipelines.execution.ray_worker import Origin, carry_out, portable_task
+
+
+def square(number: int) -> int:
+    if number == 13:
+        raise InputError("13 brings bad luck")
+    return number * number
+
+
+@pytest.mark.parametrize("name", ["dask", "Ray", "local://x", "ray://", ""])
+def test_unknown_executors_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="expected local, ray or ray://HOST:PORT"):
+        check_workers(name, 1)
+
+
+def test_too_few_workers_are_refused() -> None:
+    with pytest.raises(InputError, match="--workers must be at least 1, got 0"), opened("local", 0):
+        pass
+
+
+def test_one_process_and_two_give_the_same_in_order() -> None:
+    numbers = [n for n in range(40) if n != 13]
+    expected = [n * n for n in numbers]
+    assert list(Processes(1).run(square, numbers)) == expected
+    assert list(Processes(2).run(square, numbers)) == expected
+    with pytest.raises(InputError, match="bad luck"):
+        list(Processes(2).run(square, range(20)))
+
+
+def test_without_ray_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"h3data\[ray\]"), opened("ray", 2):
+        pass
+    options = ["generate", "social_nav", "--episodes", "1", "--executor", "ray", "-o", str(tmp_path / "ds"), "--json"]
+    assert main(options) == 2
+    assert "h3data[ray]" in json.loads(capsys.readouterr().out)["error"]
+    assert not (tmp_path / "ds").exists(), "nothing is begun"
+
+
+def test_nobody_at_the_address() -> None:
+    pytest.importorskip("ray")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]  # bound, but nobody listens
+        with (
+            pytest.raises(InputError, match=f"no Ray cluster at ray://127.0.0.1:{port} .*ray start --head"),
+            opened(f"ray://127.0.0.1:{port}", 1),
+        ):
+            pass
+    with pytest.raises(InputError, match="Expected --executor ray://HOST:PORT"), opened("ray://head", 1):
+        pass
+
+
+# --- what a worker of Ray does, in this process -----------------------------------------------------------------------
+def test_a_worker_carries_out_and_says_what_was_raised() -> None:
+    here = Origin.of_this_process().to_json()
+    kind, answer = portable_task()(here, pickle.dumps((square, 7)))
+    assert (kind, pickle.loads(answer)) == ("done", 49)
+    kind, answer = carry_out(here, pickle.dumps((square, 13)))
+    assert kind == "raised"
+    assert isinstance(pickle.loads(answer), InputError)
+
+
+class Odd(Exception):
+    """Cannot be unpickled: its constructor wants two arguments."""
+
+    def __init__(self, a: int, b: int) -> None:
+        super().__init__(f"{a} and {b}")
+
+
+def odd(number: int) -> int:
+    raise Odd(number, number)
+
+
+def test_errors_that_cannot_travel_arrive_as_text() -> None:
+    _, answer = carry_out(Origin.of_this_process().to_json(), pickle.dumps((odd, 7)))
+    error = pickle.loads(answer)
+    assert type(error) is H3DataError
+    assert str(error) == "Odd: 7 and 7"
+
+
+def test_workers_that_would_give_other_bytes_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, payload = Origin.of_this_process(), pickle.dumps((square, 7))
+    for other, said in (
+        (replace(here, packages="python 3.11.0 numpy 1.0"), "install the same"),
+        (replace(here, code="0" * 64), "another h3data"),
+    ):
+        kind, why = carry_out(other.to_json(), payload)
+        assert kind == "refused"
+        assert said in why
+        assert "\n" not in why
+    strange = pickle.dumps((square, 7)).replace(b"tests.pipelines.test_executors", b"tests.pipelines.test_executorz")
+    assert carry_out(here.to_json(), strange)[0] == "refused"
+    monkeypatch.setitem(sys.modules, "h3data_pipelines.execution.ray_worker", None)
+    kind, why = portable_task()(here.to_json(), payload)
+    assert (kind, "cannot import h3data" in why) == ("refused", True)
+    assert ray_worker  # the import at the top stays
