@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import posixpath
 import secrets
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from h3data.errors import InputError
@@ -37,6 +38,28 @@ def cache_folder(kind: str) -> Path | None:
         return (Path(home) if home else Path.home() / ".cache") / "h3data" / kind
     except RuntimeError:
         return None
+
+
+def evict(folder: Path, room: float, *, keep: Path) -> None:
+    """Deletes the least recently used files of a cache folder until the rest and ``keep`` fit in ``room`` bytes, and what
+    killed processes left unfinished over a day ago. Processes that have a file open keep it."""
+    files = []
+    for path in folder.iterdir():
+        with suppress(FileNotFoundError):  # others evict too
+            status = path.stat()
+            if path.suffix == ".part":
+                if time.time() - status.st_mtime > _UNFINISHED_S:
+                    path.unlink(missing_ok=True)
+            elif path != keep:
+                files.append((status.st_mtime_ns, status.st_size, path))
+    room -= keep.stat().st_size
+    for _, size, path in sorted(files, reverse=True):
+        room -= size
+        if room < 0:
+            path.unlink(missing_ok=True)
+
+
+_UNFINISHED_S = 86400.0
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from h3data.errors import InputError
-from h3data.files import cache_folder, part_file
+from h3data.files import cache_folder, evict, part_file
 from h3data.recording.parquet import tables
 from h3data.recording.parquet.files import shard_path
 from h3data.recording.parquet.folder import DatasetFolder
@@ -94,9 +94,4 @@ def _evict(folder: Path, *, keep: Path) -> None:
         room = float(text) * 1e9
     except ValueError:
         raise InputError(f"H3DATA_CACHE_GB must be a number of gigabytes, got {text!r}.") from None
-    files = [(path.stat(), path) for path in folder.glob("*.arrow") if path != keep]
-    room -= keep.stat().st_size
-    for status, path in sorted(files, key=lambda file: file[0].st_mtime_ns, reverse=True):
-        room -= status.st_size
-        if room < 0:
-            path.unlink(missing_ok=True)
+    evict(folder, room, keep=keep)

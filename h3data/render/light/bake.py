@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import normalized
+from h3data.geometry import normalized, transform_points
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.progress import is_quiet
 from h3data.render.light import probes as pr
-from h3data.render.light.direct import LAMP_WORDS, SUN_WORDS, WINDOW_WORDS
-from h3data.render.light.refine import Heap, heap_of, refine
+from h3data.render.light.direct import EMITTER_WORDS, LAMP, LAMP_RADIUS, SUN, SUN_SPREAD, WINDOW
+from h3data.render.light.outdoors import with_view
+from h3data.render.light.refine import Heap, hashes, heap_of, refine
 from h3data.render.light.sources import LightSources
 from h3data.render.light.store import cached
 from h3data.render.light.voxels import PROBE_VOXELS, Voxels, voxelise
@@ -38,12 +39,14 @@ _SUN = (9.0, 8.2, 6.8)
 _BOUNCES = 2
 _MEAN = 0.56
 """Light on a surface of mean brightness, about that of the flat light."""
-_DARKEST, _EXPONENT, _BRIGHTEST = 0.2, 0.8, 2.6
-"""Light of 0, exponent of the curve that maps light to what is shown, and its limit, in units of `_MEAN`."""
+_DARKEST, _EXPONENT, _SHOULDER, _BRIGHTEST = 0.22, 0.8, 1.05, 1.75
+"""Light of 0, exponent of the curve that maps light to what is shown, where it bends, and its limit, in units of `_MEAN`."""
 _TINT = 0.55
 """Share of the light's own colour; eyes and cameras adapt to the rest."""
 _GLASS, _GLOW = 1.5, 1.8
 """Brightness of window panes and lamps, in units of the flat light."""
+_VIEW = 1.5
+"""Brightness of what is seen through panes, in units of the flat light."""
 _DARK = 1e-4
 """Median irradiance below which a scene has no light."""
 
@@ -90,7 +93,10 @@ def lit_scene(
         log.warning("No light reaches %s, neither from outdoors nor from lamps: it is shown in flat light.", name)
         return LitScene(list(meshes), list(instances), light, False)
     out_meshes, out_instances = list(meshes), list(instances)
-    for k, mesh in zip(chosen, baked, strict=True):
+    floor_y = min(float(transform_points(m, mesh.bounds)[:, 1].min()) for m, mesh in zip(matrices, own, strict=True))
+    for k, mesh, matrix in zip(chosen, baked, matrices, strict=True):
+        if instances[k].name in sources.glass:
+            mesh = with_view(mesh, matrix, floor_y=floor_y, shown=_VIEW / HEADROOM)
         out_instances[k] = replace(instances[k], mesh=len(out_meshes))
         out_meshes.append(mesh)
     used = {instance.mesh for instance in out_instances}
@@ -140,22 +146,21 @@ def bake(
         return None
     glass = np.array([n in sources.glass for n in names])
     glow = np.array([n in sources.glowing for n in names])
-    voxels = _voxels(heap, meshes, glass, glow)
-    windows, suns, lamps = _tables(voxels, sources, light)
-    measured = _indirect(voxels, windows, suns, lamps)
+    voxels = _voxels(heap, meshes, glass, glow, sources)
+    emitters = _emitters(voxels, sources, light)
+    measured = _indirect(voxels, emitters)
     if measured is None:
         return None
     probes, mean = measured
 
     def light_at(points: NDArray, normals: NDArray, inward: NDArray) -> NDArray[np.float32]:
         keys = np.column_stack([np.rint(points * 500), np.rint(normals * 20)]).astype(np.int64)
-        mixed = keys @ np.array([73856093, 19349663, 83492791, 15485863, 32452843, 49979687])
-        _, first, back = np.unique(mixed, return_index=True, return_inverse=True)
+        _, first, back = np.unique(hashes(keys), return_index=True, return_inverse=True)
         place = ((points[first] - voxels.origin) / voxels.cell_m).astype(np.float32)
         out = np.empty((len(first), 3), np.float32)
         pr.light_points(
             voxels.distance, place, normals[first].astype(np.float32), inward[first].astype(np.float32),
-            windows, suns, lamps, 4, probes.reach, probes.place, probes.usable, probes.light, out,
+            emitters, 4, probes.reach, probes.place, probes.usable, probes.light, out,
         )  # fmt: skip
         return out[back]
 
@@ -164,7 +169,9 @@ def bake(
     return _meshes(heap, meshes, glass, glow, light, mean)
 
 
-def _voxels(heap: Heap, meshes: Sequence[Mesh], glass: NDArray[np.bool_], glow: NDArray[np.bool_]) -> Voxels:
+def _voxels(
+    heap: Heap, meshes: Sequence[Mesh], glass: NDArray[np.bool_], glow: NDArray[np.bool_], sources: LightSources
+) -> Voxels:
     colors = heap.vertices[:, 6:9][heap.faces].mean(1)
     for number, mesh in enumerate(meshes):
         if mesh.textures:
@@ -175,31 +182,32 @@ def _voxels(heap: Heap, meshes: Sequence[Mesh], glass: NDArray[np.bool_], glow: 
             colors[mine] *= tints[face_texture_indices(mesh)]
     solid = ~glow[heap.mesh]
     triangles = heap.world[heap.faces, :3][solid]
-    return voxelise(triangles, colors[solid].astype(np.float32), glass[heap.mesh][solid])
+    lamps = np.array([lamp.position for lamp in sources.lamps], np.float64).reshape(-1, 3)
+    return voxelise(triangles, colors[solid].astype(np.float32), glass[heap.mesh][solid], lamps)
 
 
-def _tables(
-    voxels: Voxels, sources: LightSources, light: Light
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Windows, suns and lamps as the kernels take them, in voxels."""
-    cell = voxels.cell_m
+def _emitters(voxels: Voxels, sources: LightSources, light: Light) -> NDArray[np.float32]:
+    """Windows, lamps and suns as the kernels take them (`direct.EMITTER_WORDS`), in voxels."""
+    cell, nothing = voxels.cell_m, np.zeros(3)
     rows = []
     for window in sources.windows:
         inside = _indoor_side(voxels, window.center, window.across)
         if inside is None:
             continue
-        normal = inside * window.across
         center = (window.center - voxels.origin) / cell
         area = 4 * np.linalg.norm(window.half_u) * np.linalg.norm(window.half_v) / cell**2
-        rows.append(np.concatenate([center, window.half_u / cell, window.half_v / cell, normal, [area]]))
-    sun = [np.concatenate([normalized(np.array(light.sun_direction)), _SUN])]
-    sun += [np.concatenate([direction, power]) for direction, power in sources.suns]
-    lamps = [np.concatenate([(s.position - voxels.origin) / cell, s.power / cell**2]) for s in sources.lamps]
-    return (
-        np.array(rows, np.float32).reshape(-1, WINDOW_WORDS),
-        np.array(sun, np.float32).reshape(-1, SUN_WORDS),
-        np.array(lamps, np.float32).reshape(-1, LAMP_WORDS),
-    )
+        sides = window.half_u / cell, window.half_v / cell, inside * window.across
+        rows.append([[WINDOW], center, *sides, [area], nothing])
+    wide = LAMP_RADIUS * np.array([1.0, 0, 0]), LAMP_RADIUS * np.array([0, 0, 1.0])
+    rows += [
+        [[LAMP], (lamp.position - voxels.origin) / cell, *wide, nothing, [1 / cell**2], lamp.power]
+        for lamp in sources.lamps
+    ]
+    for direction, power in ((normalized(np.array(light.sun_direction)), np.array(_SUN)), *sources.suns):
+        u = normalized(np.cross(direction, [0.0, 1, 0] if abs(direction[1]) < 0.9 else [1.0, 0, 0]))
+        size = SUN_SPREAD * u, SUN_SPREAD * np.cross(direction, u)
+        rows.append([[SUN], direction, *size, nothing, [1.0], power])
+    return np.array([np.concatenate(row) for row in rows], np.float32).reshape(-1, EMITTER_WORDS)
 
 
 def _indoor_side(voxels: Voxels, center: NDArray[np.float64], across: NDArray[np.float64]) -> int | None:
@@ -212,15 +220,13 @@ def _indoor_side(voxels: Voxels, center: NDArray[np.float64], across: NDArray[np
     return None if covered[0] == covered[1] else 1 if covered[0] else -1
 
 
-def _indirect(
-    voxels: Voxels, windows: NDArray[np.float32], suns: NDArray[np.float32], lamps: NDArray[np.float32]
-) -> tuple[pr.Probes, float] | None:
+def _indirect(voxels: Voxels, emitters: NDArray[np.float32]) -> tuple[pr.Probes, float] | None:
     """Probes with all reflected light, and the mean light of surfaces; None if there is no light."""
     shape = tuple(n // PROBE_VOXELS for n in voxels.distance.shape)
     place, usable = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.bool_)
     pr.place_probes(voxels.distance, place, usable)
-    reach = _reach(voxels, place, usable, windows, lamps)
-    count, direct, covered = _direct(voxels, reach, windows, suns, lamps)
+    reach = _reach(voxels, place, usable, emitters)
+    count, direct, covered = _direct(voxels, reach, emitters)
     directions = pr.ray_directions()
     field = np.zeros((*shape, 6, 3), np.float32)
     for _ in range(_BOUNCES):
@@ -245,12 +251,11 @@ def _reach(
     voxels: Voxels,
     place: NDArray[np.float32],
     usable: NDArray[np.bool_],
-    windows: NDArray[np.float32],
-    lamps: NDArray[np.float32],
+    emitters: NDArray[np.float32],
 ) -> NDArray[np.uint64]:
     """Bits of the windows and lamps that each block or a neighbour of it sees, shape [X', Y', Z', 2]."""
     reach = np.zeros((*usable.shape, 2), np.uint64)
-    pr.find_reach(voxels.distance, place, usable, windows, lamps, reach)
+    pr.find_reach(voxels.distance, place, usable, emitters, reach)
     for axis in range(3):
         wide, one = reach.copy(), np.moveaxis(reach, axis, 0)
         moved = np.moveaxis(wide, axis, 0)
@@ -261,11 +266,7 @@ def _reach(
 
 
 def _direct(
-    voxels: Voxels,
-    reach: NDArray[np.uint64],
-    windows: NDArray[np.float32],
-    suns: NDArray[np.float32],
-    lamps: NDArray[np.float32],
+    voxels: Voxels, reach: NDArray[np.uint64], emitters: NDArray[np.float32]
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.bool_]]:
     """Faces of surfaces in each block and direction [X', Y', Z', 6], their direct light, and whether they are under cover."""
     shape = reach.shape[:3]
@@ -277,7 +278,7 @@ def _direct(
     out = np.zeros((number, 3), np.float32)
     none = np.zeros((0, 0, 0), np.bool_), np.zeros((0, 0, 0, 6, 3), np.float32)
     pr.light_points(
-        voxels.distance, points - 1.25 * normals, normals, np.zeros_like(points), windows, suns, lamps, 2,
+        voxels.distance, points - 1.25 * normals, normals, np.zeros_like(points), emitters, 2,
         reach, np.zeros((0, 0, 0, 3), np.float32), *none, out,
     )  # fmt: skip
     per_block = np.minimum(count.ravel(), 2)
@@ -297,7 +298,8 @@ def _meshes(
     amount = irradiance.mean(1, keepdims=True)
     tint = 1 + _TINT * (irradiance / np.maximum(amount, 1e-9) - 1)
     curve = _DARKEST + (1 - _DARKEST) * (amount / mean) ** _EXPONENT
-    curve = np.where(curve > 1.4, 1.4 + (_BRIGHTEST - 1.4) * (1 - np.exp(-(curve - 1.4) / (_BRIGHTEST - 1.4))), curve)
+    above, room = np.maximum(curve - _SHOULDER, 0), _BRIGHTEST - _SHOULDER
+    curve = np.minimum(curve, _SHOULDER) + room * (1 - np.exp(-above / room))
     ratio = _MEAN * curve * tint / flat
     order = np.argsort(heap.mesh, kind="stable")
     starts = np.searchsorted(heap.mesh[order], np.arange(len(meshes) + 1))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel, kernel_part
-from h3data.render.light.direct import direct_light, sky_radiance
+from h3data.render.light.direct import MARKED, SUN, WINDOW, direct_light, sky_radiance
 from h3data.render.light.voxels import GLASS, PROBE_VOXELS, march, sees
 
 _RAYS = 128
@@ -28,7 +28,7 @@ class Probes(NamedTuple):
     """Probes, one per block."""
 
     reach: NDArray[np.uint64]
-    """Bits of the windows and of the lamps that matter in and around a block, shape [X', Y', Z', 2]."""
+    """Bits of the windows and lamps that matter in and around a block, shape [X', Y', Z', 2] (`direct.MARKED`)."""
     place: NDArray[np.float32]
     """Position of each, within its block and away from surfaces, shape [X', Y', Z', 3]."""
     usable: NDArray[np.bool_]
@@ -110,35 +110,27 @@ def place_probes(distance, place, usable):
 
 
 @kernel(error_model="numpy", boundscheck=False)
-def find_reach(distance, place, usable, windows, lamps, reach):
-    """Sets bits of the windows and lamps that a probe sees any part of, ``reach`` [X', Y', Z', 2]; of the first 64 each."""
+def find_reach(distance, place, usable, emitters, reach):
+    """Sets bits of the first `direct.MARKED` windows and lamps of which a probe sees any part, ``reach`` [X', Y', Z', 2]."""
     for bx in range(usable.shape[0]):
         for by in range(usable.shape[1]):
             for bz in range(usable.shape[2]):
                 if not usable[bx, by, bz]:
                     continue
                 x, y, z = place[bx, by, bz, 0], place[bx, by, bz, 1], place[bx, by, bz, 2]
-                for m in range(min(len(windows) + len(lamps), 128)):
-                    kind, w = 0, m
-                    if m >= len(windows):
-                        kind, w = 1, m - len(windows)
-                    if w >= 64:
-                        continue
-                    for p in range(5 if kind == 0 else 1):
+                for e in range(min(len(emitters), MARKED)):
+                    row = emitters[e]
+                    if row[0] == SUN:
+                        break
+                    brightest = 2.0 if row[0] == WINDOW else max(row[14], row[15], row[16])
+                    for p in range(5 if row[0] == WINDOW else 1):
                         a, b = (0.0 if p == 0 else 0.8 * (1 - 2 * (p & 1))), (0.0 if p == 0 else 0.8 * (1 - (p & 2)))
-                        if kind == 0:
-                            tx = windows[w, 0] + a * windows[w, 3] + b * windows[w, 6] + 1.6 * windows[w, 9]
-                            ty = windows[w, 1] + a * windows[w, 4] + b * windows[w, 7] + 1.6 * windows[w, 10]
-                            tz = windows[w, 2] + a * windows[w, 5] + b * windows[w, 8] + 1.6 * windows[w, 11]
-                            power = 2 * windows[w, 12]
-                        else:
-                            tx, ty, tz = lamps[w, 0], lamps[w, 1], lamps[w, 2]
-                            power = max(lamps[w, 3], lamps[w, 4], lamps[w, 5])
-                        dx, dy, dz = tx - x, ty - y, tz - z
-                        if power < _FAINT * (dx * dx + dy * dy + dz * dz):
-                            continue
-                        if sees(distance, x, y, z, tx, ty, tz):
-                            reach[bx, by, bz, kind] |= np.uint64(1) << np.uint64(w)
+                        tx = row[1] + a * row[4] + b * row[7] + 1.6 * row[10]
+                        ty = row[2] + a * row[5] + b * row[8] + 1.6 * row[11]
+                        tz = row[3] + a * row[6] + b * row[9] + 1.6 * row[12]
+                        far2 = (tx - x) ** 2 + (ty - y) ** 2 + (tz - z) ** 2
+                        if row[13] * brightest >= _FAINT * far2 and sees(distance, x, y, z, tx, ty, tz):
+                            reach[bx, by, bz, e >> 6] |= np.uint64(1) << np.uint64(e & 63)
                             break
 
 
@@ -149,13 +141,14 @@ def gather(distance, albedo, face_light, before, place, usable, directions, afte
     Surfaces reflect ``face_light`` and ``before``, the light of the previous bounce.
     """
     rays = directions.shape[1]
-    cube = np.zeros((6, 3), np.float32)
+    cube = np.empty((6, 3), np.float32)
     for bx in range(usable.shape[0]):
         for by in range(usable.shape[1]):
             for bz in range(usable.shape[2]):
                 if not usable[bx, by, bz]:
                     continue
-                cube[:] = 0
+                for face in range(6):
+                    cube[face, 0] = cube[face, 1] = cube[face, 2] = 0.0
                 rotation = (bx & 1) * 4 + (by & 1) * 2 + (bz & 1)
                 x, y, z = place[bx, by, bz, 0], place[bx, by, bz, 1], place[bx, by, bz, 2]
                 for r in range(rays):
@@ -173,14 +166,10 @@ def gather(distance, albedo, face_light, before, place, usable, directions, afte
                         c, d, e = u // PROBE_VOXELS, v // PROBE_VOXELS, w // PROBE_VOXELS
                         p, q, s = i // PROBE_VOXELS, j // PROBE_VOXELS, k // PROBE_VOXELS
                         axis = face // 2
-                        per = 1 / np.pi
-                        red = per * albedo[c, d, e, axis, 0] * (face_light[c, d, e, face, 0] + before[p, q, s, face, 0])
-                        green = (
-                            per * albedo[c, d, e, axis, 1] * (face_light[c, d, e, face, 1] + before[p, q, s, face, 1])
-                        )
-                        blue = (
-                            per * albedo[c, d, e, axis, 2] * (face_light[c, d, e, face, 2] + before[p, q, s, face, 2])
-                        )
+                        own, earlier, tint = face_light[c, d, e, face], before[p, q, s, face], albedo[c, d, e, axis]
+                        red = tint[0] * (own[0] + earlier[0]) / np.pi
+                        green = tint[1] * (own[1] + earlier[1]) / np.pi
+                        blue = tint[2] * (own[2] + earlier[2]) / np.pi
                     for axis in range(3):
                         component = dx if axis == 0 else dy if axis == 1 else dz
                         face = 2 * axis + (component > 0)
@@ -240,23 +229,23 @@ def blur(distance, place, usable, light, out, axis):
 
 
 @kernel(error_model="numpy", boundscheck=False)
-def light_points(distance, points, normals, inward, windows, suns, lamps, side, reach, place, usable, light, out):
+def light_points(distance, points, normals, inward, emitters, side, reach, place, usable, light, out):
     """Fills the irradiance ``out`` [N, 3] at surface points [N, 3] with unit normals.
 
     It is NaN where a point lies inside other surfaces or sees no probe.
 
     ``side`` is the number of rays along each side of a window. Without probes (0 blocks) it is the direct light alone.
     Points are lifted off their surface by more than a voxel. Those at a corner still lie in the other surface, so they also
-    move ``inward`` [N, 3], towards the middle of their own faces.
+    move ``inward`` [N, 3], towards the middle of their own faces, by little more than a voxel: what lies deeper is hidden.
     """
     shape = usable.shape
     for n in range(len(points)):
         nx, ny, nz = normals[n, 0], normals[n, 1], normals[n, 2]
         found = False
         x, y, z = np.float32(0), np.float32(0), np.float32(0)
-        for attempt in range(12):
-            up = np.float32(1.25 if attempt < 6 else 2.3)
-            along = np.float32(attempt % 6) * np.float32(0.7)
+        for attempt in range(6):
+            up = np.float32(1.25 if attempt < 3 else 2.3)
+            along = np.float32(attempt % 3) * np.float32(0.6)
             x = points[n, 0] + up * nx + along * inward[n, 0]
             y = points[n, 1] + up * ny + along * inward[n, 1]
             z = points[n, 2] + up * nz + along * inward[n, 2]
@@ -270,7 +259,7 @@ def light_points(distance, points, normals, inward, windows, suns, lamps, side, 
             continue
         bx, by, bz = int(x) // PROBE_VOXELS, int(y) // PROBE_VOXELS, int(z) // PROBE_VOXELS
         red, green, blue = direct_light(
-            distance, x, y, z, nx, ny, nz, windows, suns, lamps, reach[bx, by, bz, 0], reach[bx, by, bz, 1], side
+            distance, x, y, z, nx, ny, nz, emitters, reach[bx, by, bz, 0], reach[bx, by, bz, 1], side
         )
         if usable.size == 0:
             out[n, 0], out[n, 1], out[n, 2] = red, green, blue

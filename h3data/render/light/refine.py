@@ -1,4 +1,4 @@
-"""Meshes of a scene in one heap of triangles, refined where light changes along an edge.
+"""Meshes of a scene in one heap of triangles, refined where light is not linear along an edge; and their light, smoothed.
 
 Whether an edge is cut depends on nothing but its ends, so both triangles at an edge agree and no cracks appear.
 """
@@ -16,10 +16,24 @@ from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import flat_shaded
 from h3data.srgb import bytes_to_linear
 
-LONGEST_M, SHORTEST_M = 0.6, 0.15
+LONGEST_M, SHORTEST_M = 1.5, 0.16
 """Longer edges are always cut, shorter ones never."""
-_CONTRAST = 0.22
-"""Difference of brightness (square root of light, 1 = mean) along an edge above which it is cut."""
+_BEND = 0.075
+"""Difference of brightness (square root of light, 1 = mean) between the middle of an edge and the mean of its ends above
+which the edge is cut."""
+_FLAT = 0.15
+"""Difference between the ends below which the middle of an edge of up to `_NEAR_M` is not looked at."""
+_NEAR_M = 0.4
+_BRIGHTEST = 1.8
+"""Brighter light looks much the same."""
+_UPWARD, _CONTACT_M = 0.7, 0.3
+"""Longer edges of surfaces that face up this much are cut where they run under something."""
+_APART = 0.4
+"""Edges whose middle is hidden are cut if their ends differ more."""
+_UNDER = 0.75
+"""Light of what lies hidden under furniture, in units of that beside it."""
+_SMOOTH_M, _SMOOTHINGS = 0.22, 2
+"""Vertices take light from neighbours about this far, so often: shadows have soft edges rather than the mesh's."""
 _ROUNDS = 8
 _NO_FACES = np.zeros((0, 3), np.int64)
 
@@ -78,66 +92,82 @@ def refine(heap: Heap, light_at: LightAt, *, mean: float, lit: NDArray[np.bool_]
     pending = lit[heap.mesh]
     parts = [(heap.faces[~pending], heap.mesh[~pending], heap.textures[~pending])]
     faces, mesh, textures = heap.faces[pending], heap.mesh[pending], heap.textures[pending]
+    _light_new(heap, faces, light_at)
     done = 0
-    for round_ in range(_ROUNDS + 1):
-        _light_new(heap, faces, light_at)
-        if round_ == _ROUNDS or not len(faces) or done + len(faces) > max_faces:
+    for _ in range(_ROUNDS):
+        if not len(faces) or done + len(faces) > max_faces:
             break
-        cut, middle = _cut_edges(heap, faces, mean)
+        cut, middle = _cut_edges(heap, faces, light_at, mean)
         whole = ~cut.any(1)
         parts.append((faces[whole], mesh[whole], textures[whole]))
         done += int(whole.sum())
-        children, parent = _children(faces[~whole], cut[~whole], middle[~whole])
+        children, parent = _children(faces[~whole], cut[~whole], middle[~whole], heap.world[:, :3])
         faces, mesh, textures = children, mesh[~whole][parent], textures[~whole][parent]
     parts.append((faces, mesh, textures))
     heap.faces, heap.mesh, heap.textures = (np.concatenate(column) for column in zip(*parts, strict=True))
-    _fill(heap)
+    _smooth(heap)
 
 
 def _light_new(heap: Heap, faces: NDArray[np.int64], light_at: LightAt) -> None:
-    """Light of the vertices of ``faces`` that have none, computed once for equal positions and normals."""
-    fresh = np.zeros(len(heap.vertices), bool)
-    fresh[faces] = True
-    fresh[: len(heap.light)] &= np.isnan(heap.light[: len(fresh), 0])
-    index = np.flatnonzero(fresh)
-    if not len(index):
-        return
+    """Light of the vertices of ``faces``."""
     corners = heap.world[faces, :3]
     offset = (corners.mean(1)[:, None] - corners).reshape(-1, 3)
-    inward = np.column_stack([np.bincount(faces.ravel(), offset[:, a], len(heap.vertices)) for a in range(3)])[index]
-    length = np.linalg.norm(inward, axis=1, keepdims=True)
-    inward = np.where(length > 1e-4, inward / np.maximum(length, 1e-9), 0.0)
-    heap.light[index] = light_at(heap.world[index, :3], heap.world[index, 3:], inward)
+    inward = np.column_stack([np.bincount(faces.ravel(), offset[:, a], len(heap.vertices)) for a in range(3)])
+    index = np.unique(faces)
+    heap.light[index] = light_at(heap.world[index, :3], heap.world[index, 3:], _direction(inward[index]))
 
 
-def _cut_edges(heap: Heap, faces: NDArray[np.int64], mean: float) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+def _direction(offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors of offsets [n, 3], 0 for those without length."""
+    length = np.linalg.norm(offset, axis=1, keepdims=True)
+    return np.where(length > 1e-4, offset / np.maximum(length, 1e-9), 0.0)
+
+
+def _cut_edges(
+    heap: Heap, faces: NDArray[np.int64], light_at: LightAt, mean: float
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
     """Which edges of each face are cut and the vertices at their middle, each [F, 3]; edge k goes from corner k to k + 1."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     count = len(heap.vertices)
     keys, back = np.unique(ends[:, 0] * count + ends[:, 1], return_inverse=True)
     a, b = keys // count, keys % count
     length = np.linalg.norm(heap.world[a, :3] - heap.world[b, :3], axis=1)
-    bright = np.sqrt(np.nan_to_num(heap.light.mean(1), nan=0.0) / mean)
-    bright = np.minimum(bright, 2.2)
-    unknown = np.isnan(heap.light[a, 0]) | np.isnan(heap.light[b, 0])
-    contrast = np.abs(bright[a] - bright[b])
-    cut = (length > LONGEST_M) | ((length > SHORTEST_M) & (contrast > _CONTRAST) & ~unknown)
-    chosen = np.flatnonzero(cut)
-    middles = np.full(len(keys), -1)
-    middles[chosen] = count + np.arange(len(chosen))
+    difference = np.abs(_bright(heap.light[a], mean) - _bright(heap.light[b], mean))
+    looked = (length > _NEAR_M) | ((length > SHORTEST_M) & ~(difference < _FLAT))
+    hidden = np.isnan(heap.light[a, 0]).astype(int) + np.isnan(heap.light[b, 0])
+    looked &= (hidden < 2) | (length > LONGEST_M)
+    chosen = np.flatnonzero(looked)
     one, two = a[chosen], b[chosen]
-    rows = (heap.vertices[one] + heap.vertices[two]) / 2
-    rows[:, 3:6] = normalized(rows[:, 3:6])
     world = (heap.world[one] + heap.world[two]) / 2
     world[:, 3:] = normalized(world[:, 3:])
+    middle_of_face = heap.world[faces, :3].mean(1)
+    inward = np.column_stack([np.bincount(back, np.repeat(middle_of_face[:, k], 3), len(keys)) for k in range(3)])
+    inward /= np.bincount(back, minlength=len(keys))[:, None]
+    light = light_at(world[:, :3], world[:, 3:], _direction(inward[chosen] - world[:, :3]))
+    expected = (_bright(heap.light[one], mean) + _bright(heap.light[two], mean)) / 2
+    cut = ~(np.abs(_bright(light, mean) - expected) <= _BEND) & ~np.isnan(light[:, 0])
+    cut |= length[chosen] > LONGEST_M
+    cut |= np.isnan(light[:, 0]) & (difference[chosen] > _APART)  # light on both sides of a wall
+    upward = np.minimum(heap.world[one, 4], heap.world[two, 4]) > _UPWARD
+    cut |= upward & (hidden[chosen] == 1) & (length[chosen] > _CONTACT_M)  # where furniture stands on a floor
+    kept = chosen[cut]
+    middles = np.full(len(keys), -1)
+    middles[kept] = count + np.arange(len(kept))
+    rows = (heap.vertices[one[cut]] + heap.vertices[two[cut]]) / 2
+    rows[:, 3:6] = normalized(rows[:, 3:6])
     heap.vertices = np.concatenate([heap.vertices, rows])
-    heap.world = np.concatenate([heap.world, world])
-    heap.light = np.concatenate([heap.light, np.full((len(rows), 3), np.nan, np.float32)])
-    return cut[back].reshape(-1, 3), middles[back].reshape(-1, 3)
+    heap.world = np.concatenate([heap.world, world[cut]])
+    heap.light = np.concatenate([heap.light, light[cut]])
+    return (middles >= 0)[back].reshape(-1, 3), middles[back].reshape(-1, 3)
+
+
+def _bright(light: NDArray[np.float32], mean: float) -> NDArray[np.float32]:
+    """How bright light [n, 3] looks, 1 = mean, shape [n]; NaN where it is unknown."""
+    return np.minimum(np.sqrt(light.mean(1) / mean), _BRIGHTEST)
 
 
 def _children(
-    faces: NDArray[np.int64], cut: NDArray[np.bool_], middle: NDArray[np.int64]
+    faces: NDArray[np.int64], cut: NDArray[np.bool_], middle: NDArray[np.int64], place: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The 2, 3 or 4 parts of each face, and the face that each is part of."""
     children, parents = [_NO_FACES], [np.zeros(0, np.int64)]
@@ -159,21 +189,59 @@ def _children(
         add(which, x, b, c)
         which = np.flatnonzero((number == 2) & cuts[:, 0] & cuts[:, 1])
         (a, b, c), (x, y) = turned[which].T, middles[which, :2].T
-        for corners in ((x, b, y), (a, x, y), (a, y, c)):
-            add(which, *corners)
+        add(which, x, b, y)
+        first_half, second_half = np.stack([a, x, y]), np.stack([a, y, c])
+        other = np.linalg.norm(place[x] - place[c], axis=1) < np.linalg.norm(place[a] - place[y], axis=1)
+        add(which, *np.where(other, np.stack([a, x, c]), first_half))  # the shorter diagonal
+        add(which, *np.where(other, np.stack([x, y, c]), second_half))
     return np.concatenate(children), np.concatenate(parents)
 
 
-def _fill(heap: Heap) -> None:
-    """Gives vertices without light, which lie in other surfaces, the mean of their neighbours."""
-    edges = np.concatenate([heap.faces[:, [0, 1]], heap.faces[:, [1, 2]], heap.faces[:, [2, 0]]])
-    edges = np.concatenate([edges, edges[:, ::-1]])
-    for _ in range(6):
-        unknown = np.isnan(heap.light[:, 0])
-        useful = edges[unknown[edges[:, 0]] & ~unknown[edges[:, 1]]]
+def _smooth(heap: Heap) -> None:
+    """Vertices without light, which lie in other surfaces, take that of their neighbours; then light is smoothed a little.
+
+    Vertices with equal positions and normals count as one.
+    """
+    keys = np.column_stack([np.rint(heap.world[:, :3] * 2000), np.rint(heap.world[:, 3:] * 20)]).astype(np.int64)
+    _, first, point = np.unique(hashes(keys), return_index=True, return_inverse=True)
+    count = len(first)
+    light = np.column_stack([_mean_known(heap.light[:, a], point, count) for a in range(3)])
+    ends = point[np.concatenate([heap.faces[:, [0, 1]], heap.faces[:, [1, 2]], heap.faces[:, [2, 0]]])]
+    ends = np.unique(np.sort(ends, axis=1)[:, 0] * count + np.sort(ends, axis=1)[:, 1])
+    a, b = ends // count, ends % count
+    place = heap.world[first, :3]
+    length = np.linalg.norm(place[a] - place[b], axis=1)
+    a, b = np.concatenate([a, b]), np.concatenate([b, a])
+    upward = heap.world[first, 4] > _UPWARD
+    under = np.isnan(light[:, 0]) & upward
+    weight = np.tile(np.exp(-((length / _SMOOTH_M) ** 2)), 2)
+    weight[under[a] | under[b]] = 0
+    for ring in range(24):
+        useful = np.flatnonzero(np.isnan(light[a, 0]) & ~np.isnan(light[b, 0]))
         if not len(useful):
             break
-        count = np.bincount(useful[:, 0], minlength=len(unknown))
-        sums = [np.bincount(useful[:, 0], heap.light[useful[:, 1], a], len(unknown)) for a in range(3)]
-        known = count > 0
-        heap.light[known] = (np.column_stack(sums)[known] / count[known, None]).astype(np.float32)
+        number = np.bincount(a[useful], minlength=count)
+        sums = np.column_stack([np.bincount(a[useful], light[b[useful], k], count) for k in range(3)])
+        order = useful[np.argsort(light[b[useful]].sum(1), kind="stable")]
+        found, darkest = np.unique(a[order], return_index=True)
+        fill = light[b[order[darkest]]] * (_UNDER if ring == 0 else 0.9)  # the mean would pass light under walls
+        light[found] = np.where(upward[found, None], fill, sums[found] / number[found, None])
+    total = 1 + np.bincount(a, weight, count)
+    for _ in range(_SMOOTHINGS):
+        known = np.nan_to_num(light)
+        sums = np.column_stack([np.bincount(a, weight * known[b, k], count) for k in range(3)])
+        light = (light + sums) / total[:, None]
+    heap.light = light[point].astype(np.float32)
+
+
+def hashes(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number for each row of keys [n, 6]."""
+    return keys @ np.array([73856093, 19349663, 83492791, 15485863, 32452843, 49979687])
+
+
+def _mean_known(values: NDArray[np.float32], group: NDArray[np.intp], count: int) -> NDArray[np.float64]:
+    """Mean of the values [n] of each group that are not NaN, NaN if there are none, shape [count]."""
+    known = ~np.isnan(values)
+    number = np.bincount(group[known], minlength=count)
+    sums = np.bincount(group[known], values[known], count)
+    return np.where(number > 0, sums / np.maximum(number, 1), np.nan)

@@ -1,9 +1,14 @@
-"""Baked light on disk, by a key of all that it depends on, beside the other caches (`h3data.files.cache_folder`)."""
+"""Baked light on disk, by a key of all that it depends on, beside the other caches (`h3data.files.cache_folder`).
+
+The key is a digest of the meshes, their poses and textures, the light sources, the flat light and `FORMAT`. Files get their
+names when they are whole, so processes may write at once or be killed. A broken file is made again.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import logging
+import os
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,15 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import SceneError
-from h3data.files import cache_folder, part_file
+from h3data.files import cache_folder, evict, part_file
 from h3data.mesh.mesh import Mesh
 from h3data.render.light.sources import LightSources
 from h3data.render.shade.shading import Light
 
 log = logging.getLogger(__name__)
 
-FORMAT = 1
+FORMAT = 2
 """Part of the key: raise it whenever the bake changes."""
+ROOM_BYTES = 2e9
+"""The cache keeps the most recently used homes up to this size."""
 _ARRAYS = ("vertices", "faces", "colors", "normals", "uv", "face_textures")
 
 
@@ -39,7 +46,9 @@ def cached(
     path = folder / f"{_key(meshes, matrices, names, sources, light)}.npz"
     if path.is_file():
         try:
-            return _load(path, meshes)
+            baked = _load(path, meshes)
+            os.utime(path)
+            return baked
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, SceneError) as fault:
             log.warning("Cached light is broken and is computed again (%s): %s", fault, path)
     baked = build()
@@ -47,6 +56,7 @@ def cached(
         try:
             folder.mkdir(parents=True, exist_ok=True)
             _save(path, baked)
+            evict(folder, ROOM_BYTES, keep=path)
         except OSError as fault:
             log.info("The light is not cached: %s", fault)
     return baked

@@ -22,6 +22,8 @@ PROBE_VOXELS = 5
 GLASS = 255
 """Marks voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
 _FARTHEST = 100
+_HOLLOW_M3 = 3.0
+"""Smaller closed hollows are the inside of furniture and of walls: points of other surfaces in there are hidden."""
 
 
 class Voxels(NamedTuple):
@@ -35,8 +37,15 @@ class Voxels(NamedTuple):
     cell_m: float
 
 
-def voxelise(triangles: NDArray[np.float64], colors: NDArray[np.float32], glass: NDArray[np.bool_]) -> Voxels:
-    """Voxels of triangles [F, 3, 3] [m] with linear colours [F, 3]; ``glass`` [F] are window panes."""
+def voxelise(
+    triangles: NDArray[np.float64], colors: NDArray[np.float32], glass: NDArray[np.bool_], lamps: NDArray[np.float64]
+) -> Voxels:
+    """Voxels of triangles [F, 3, 3] [m] with linear colours [F, 3]; ``glass`` [F] are window panes.
+
+    Hollows inside furniture are filled, but none with one of the ``lamps`` [L, 3] in it.
+    """
+    from scipy.ndimage import distance_transform_cdt
+
     low, high = triangles.min((0, 1)) - MARGIN_M, triangles.max((0, 1)) + MARGIN_M
     cell = max(CELL_M, float(np.prod(high - low) / MAX_VOXELS) ** (1 / 3))
     low -= 0.37 * cell  # walls and floors lie on round numbers: rather within a voxel than on the border of two
@@ -45,8 +54,8 @@ def voxelise(triangles: NDArray[np.float64], colors: NDArray[np.float32], glass:
     sums = np.zeros((*blocks, 3, 4), np.float32)
     _mark(((triangles - low) / cell).astype(np.float32), colors, glass, distance, sums)
     panes = distance == GLASS
-    distance[panes] = 0
-    _spread(distance)
+    free = _reachable(distance != 0, lamps=(lamps - low) / cell, cell_m=cell)
+    distance = np.minimum(distance_transform_cdt(free & ~panes, "chessboard"), _FARTHEST).astype(np.uint8)
     distance[panes] = GLASS
     total = sums.sum(3, keepdims=True)
     sums = np.where(sums[..., 3:] > 0, sums, total)
@@ -96,30 +105,19 @@ def _mark(triangles, colors, glass, distance, sums):
                 sums[u, v, w, axis, 3] += np.float32(1.0)
 
 
-@kernel(error_model="numpy", boundscheck=False)
-def _spread(distance):
-    """Chebyshev distances from the zeros, in place, by two sweeps over half of the 26 neighbours each; 1 at the border."""
-    nx, ny, nz = distance.shape
-    for x in range(nx):
-        for y in range(ny):
-            for z in range(nz):
-                if x == 0 or y == 0 or z == 0 or x == nx - 1 or y == ny - 1 or z == nz - 1:
-                    distance[x, y, z] = min(distance[x, y, z], 1)
-    for sweep in range(2):
-        sign = 1 if sweep == 0 else -1
-        for i in range(1, nx - 1):
-            x = i if sweep == 0 else nx - 1 - i
-            for j in range(1, ny - 1):
-                y = j if sweep == 0 else ny - 1 - j
-                for k in range(1, nz - 1):
-                    z = k if sweep == 0 else nz - 1 - k
-                    if distance[x, y, z] < 2:
-                        continue
-                    best = distance[x, y, z - sign]
-                    for w in range(z - 1, z + 2):
-                        best = min(best, distance[x - sign, y - 1, w], distance[x - sign, y, w])
-                        best = min(best, distance[x - sign, y + 1, w], distance[x, y - sign, w])
-                    distance[x, y, z] = min(distance[x, y, z], best + 1)
+def _reachable(free: NDArray[np.bool_], *, lamps: NDArray[np.float64], cell_m: float) -> NDArray[np.bool_]:
+    """Free voxels but those of hollows: closed, smaller than `_HOLLOW_M3` and without a lamp (positions [L, 3])."""
+    from scipy.ndimage import label
+
+    parts, count = label(free)
+    keep = np.bincount(parts.ravel(), minlength=count + 1) * cell_m**3 > _HOLLOW_M3
+    for border in (parts[0], parts[-1], parts[:, 0], parts[:, -1], parts[:, :, 0], parts[:, :, -1]):
+        keep[np.unique(border)] = True
+    at = lamps.astype(int)
+    at = at[((at >= 0) & (at < free.shape)).all(1)]
+    keep[parts[tuple(at.T)]] = True
+    keep[0] = False  # surfaces
+    return keep[parts]
 
 
 @kernel_part()

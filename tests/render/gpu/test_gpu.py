@@ -19,6 +19,8 @@ from h3data.render.gpu import AutoEngine, GpuEngine, GpuRenderer, GpuScene, gpu_
 from h3data.render.gpu.meshlets import CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUSTERS, build_meshlets
 from h3data.render.gpu.packing import pack_scenes
 from h3data.render.gpu.views import choose_variant
+from h3data.render.light.bake import lit_scene
+from h3data.render.light.sources import Lamp, LightSources
 from h3data.render.sheets.scene_map import render_scene
 from h3data.scene.homes import HomeSpec, build_home
 from tests.render.gpu_emulator import COMPILER, EmulatedRenderer
@@ -233,6 +235,22 @@ def test_ids_are_those_of_the_scene(make):
     assert set(np.unique(got["instance"])) == {3, 7, 40}
     several = make([other, scene], width=WIDTH, height=HEIGHT, worlds=2)
     assert (several.render(ROOM_VIEWS[0], outputs=["instance"])["instance"][1] == 40).any()
+
+
+def test_baked_light_looks_as_on_the_cpu(make, monkeypatch):
+    monkeypatch.setenv("H3DATA_CACHE", "off")
+    meshes = [room(), textured(ball(), 1)]
+    instances = [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(1, 0.8, 0, 0.5))]
+    lamps = LightSources(lamps=(Lamp(np.array([-1.0, 2.2, 0.5]), np.full(3, 4.0)),))
+    lit = lit_scene(meshes, instances, [0, 1], lamps)
+    assert lit.baked
+    scene = RenderScene(lit.meshes, lit.instances)
+    gpu = make(GpuScene(scene), width=WIDTH, height=HEIGHT, worlds=1, light=lit.light)
+    cpu = Renderer(scene, light=lit.light)
+    camera = ROOM_VIEWS[0]
+    got = {name: t[0].cpu().numpy() for name, t in gpu.render([camera], outputs=OUTPUTS).items()}
+    assert_alike(got, cpu.render(camera, outputs=OUTPUTS))
+    assert np.ptp(got["rgb"].astype(int)) > 60  # light and shade
 
 
 def test_textures_and_smooth_edges(make):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from h3data.files import evict
 from h3data.geometry import IDENTITY_POSE
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import box_mesh
 from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.light.bake import LitScene, lit_scene
+from h3data.render.light.outdoors import EYE_M, outdoors, with_view
 from h3data.render.light.sources import Lamp, LightSources, sources_of
 from h3data.scene import Asset, HomeSpec, Instance, LightSource, Scene, build_home
+from h3data.scene.records import instance_matrix
 
 
 @pytest.fixture(autouse=True)
@@ -59,14 +63,14 @@ def _lit(sources: LightSources) -> LitScene:
 
 
 def _brightness(lit: LitScene, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vertex colours of the floor nearest to points [N, 2] (x, z), shape [N]."""
-    instance = next(i for i in lit.instances if i.name == "floor")
-    mesh = lit.meshes[instance.mesh]
-    assert mesh.normals is not None
-    top = mesh.normals[:, 1] > 0.9
-    place = mesh.vertices[top][:, [0, 2]] + np.asarray(instance.matrix)[[0, 2], 3]
-    nearest = np.linalg.norm(place[None] - points[:, None], axis=2).argmin(1)
-    return mesh.colors[top].mean(1)[nearest]
+    """How bright the floor looks at points [N, 2] (x, z), 0 to 255, shape [N]."""
+    renderer = Renderer(RenderScene(lit.meshes, lit.instances), light=replace(lit.light, occlusion=0.0))
+    out = []
+    for x, z in points:
+        above = look_at(np.array([x, 1.0, z]), np.array([x, 0.0, z]), up=(0.0, 0.0, -1.0))
+        picture = renderer.render(pinhole(8, 8, hfov_deg=3, pose=above), outputs=("rgb",))["rgb"]
+        out.append(picture.mean())
+    return np.array(out)
 
 
 LAMP = LightSources(lamps=(Lamp(np.array([1.5, 2.2, 1.5]), np.full(3, 4.0)),))
@@ -186,3 +190,33 @@ def test_the_light_is_cached_and_a_broken_file_is_replaced(
         _lit(LAMP)
     assert "broken" in caplog.text
     assert file.read_bytes() == written
+
+
+def test_the_cache_keeps_what_was_used_last_and_drops_what_killed_processes_left(tmp_path: Path) -> None:
+    for age, name in enumerate(("newest.npz", "older.npz", "oldest.npz", "killed.npz.1-ab.part")):
+        (tmp_path / name).write_bytes(bytes(100))
+        os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
+    (tmp_path / "others.npz.2-cd.part").write_bytes(b"")
+    evict(tmp_path, 250, keep=tmp_path / "oldest.npz")
+    assert {p.name for p in tmp_path.iterdir()} == {"oldest.npz", "newest.npz", "others.npz.2-cd.part"}
+
+
+def test_panes_show_the_outdoors_with_the_horizon_at_eye_height() -> None:
+    home = build_home(HomeSpec(preset="small", seed=7))
+    name = min(sources_of(home).glass)
+    window = next(i for i in home.static_instances if i.name == name)
+    before = home.assets[window.asset].mesh
+    after = with_view(before, instance_matrix(window), floor_y=0.0, shown=0.6)
+    assert len(after.faces) == len(before.faces)
+    assert after.textures == (outdoors(),)
+    assert after.face_textures is not None
+    assert after.uv is not None
+    panes = after.vertices[after.faces[after.face_textures == 0]]
+    uv = after.uv[after.faces[after.face_textures == 0]]
+    assert np.ptp(panes[..., 1]) > 0.5
+    place = instance_matrix(window)[1, 3] + panes[..., 1]
+    np.testing.assert_allclose((0.5 - uv[..., 1]) * 4.5, place - EYE_M, atol=1e-4)
+    pixels = outdoors().pixels.astype(int)
+    assert (pixels[10, :, 2] > pixels[10, :, 1]).all()  # the sky is blue
+    assert (pixels[-60, :, 1] > pixels[-60, :, 2]).all()  # the lawn is green
+    assert np.abs(pixels[:, 0] - pixels[:, -1]).max() < 40  # it repeats without a seam
