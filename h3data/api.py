@@ -16,6 +16,7 @@ from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import InputError
 from h3data.recording import Dataset, Episodes, Recording, open_recording
 from h3data.render import Output
+from h3data.render.light.sources import LightMode
 from h3data.replay import CameraTrack, Replay, camera_at
 
 if TYPE_CHECKING:
@@ -139,12 +140,17 @@ def render_frame(
     outputs: Sequence[Output] = ("rgb",),
     assets: Sequence[str | Path] = (),
     people: PeopleStyle = "skin",
+    light: LightMode = "baked",
 ) -> dict[str, NDArray[Any]]:
     """One picture: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W], ...
 
-    For many pictures make a `Replay` once and pass it, or use its `Replay.frames`.
+    For many pictures make a `Replay` once and pass it, or use its `Replay.frames`; it has ``assets``, ``people`` and
+    ``light`` of its own.
     """
-    replay = recording if isinstance(recording, Replay) else Replay(recording, assets=assets, people=people)
+    if isinstance(recording, Replay):
+        replay = recording
+    else:
+        replay = Replay(recording, assets=assets, people=people, light=light if "rgb" in outputs else "flat")
     row = replay.row(step)
     seen_from = camera_at(replay, camera, row)
     track = CameraTrack(camera=seen_from, poses=seen_from.pose[None])

@@ -91,6 +91,8 @@ def test_python_api_on_the_demo(demo: Path) -> None:
     image = h3data.render_frame(recording, camera="third_person", step=20, outputs=("rgb", "depth"))
     assert image["rgb"].shape == (480, 640, 3)
     assert (image["depth"] > 0).mean() > 0.5
+    flat = h3data.render_frame(recording, camera="third_person", step=20, light="flat")["rgb"]
+    assert np.abs(image["rgb"].astype(int) - flat).mean() > 3
     assert h3data.measure(recording).values["TD"] > 0
 
 
@@ -119,7 +121,7 @@ def test_rerender_view_and_metrics(demo: Path, tmp_path: Path, capsys: pytest.Ca
     png = cv2.imread(str(Path(data["recordings"][0]["files"][0]) / "000003.png"), cv2.IMREAD_UNCHANGED)
     recording = h3data.open(episode)
     depth = h3data.render_frame(recording, camera="robot_arm", step=3, outputs=("depth",))["depth"]
-    np.testing.assert_allclose(png / 1000.0, np.minimum(depth, 65.535), atol=6e-4)
+    np.testing.assert_allclose(png / 1000.0, np.minimum(depth, 65.535), atol=6e-4)  # type: ignore[operator]
     data = run_json(capsys, "metrics", episode)
     assert data["episodes"][0]["values"]["TD"] > 0
     data = run_json(capsys, "view", episode, "-o", tmp_path / "e.rrd")
@@ -138,7 +140,7 @@ def test_an_episode_of_a_dataset_can_be_drawn_and_viewed(
     import av
 
     with av.open(data["recordings"][0]["files"][1]) as container:
-        picture = next(container.decode(video=0)).to_ndarray(format="rgb24")
+        picture = next(container.decode(video=0)).to_ndarray(format="rgb24")  # type: ignore[attr-defined]
     assert np.std(picture.reshape(-1, 3), axis=0).max() > 20  # not one flat colour
     run_json(capsys, "view", episode, "-o", tmp_path / "e.rrd")
     assert main(["view", str(demo / "dataset"), "-o", str(tmp_path / "f.rrd")]) == 2

@@ -36,7 +36,6 @@ HEADROOM = 2.4
 """How much brighter than under the flat light a white surface can be."""
 _SUN = (9.0, 8.2, 6.8)
 """Irradiance of the sun, in the units of `direct.SKY`."""
-_BOUNCES = 2
 _MEAN = 0.56
 """Light on a surface of mean brightness, about that of the flat light."""
 _DARKEST, _EXPONENT, _SHOULDER, _BRIGHTEST = 0.22, 0.8, 1.05, 1.75
@@ -227,11 +226,10 @@ def _indirect(voxels: Voxels, emitters: NDArray[np.float32]) -> tuple[pr.Probes,
     pr.place_probes(voxels.distance, place, usable)
     reach = _reach(voxels, place, usable, emitters)
     count, direct, covered = _direct(voxels, reach, emitters)
-    directions = pr.ray_directions()
     field = np.zeros((*shape, 6, 3), np.float32)
-    for _ in range(_BOUNCES):
+    for rays in pr.RAYS:
         after = np.zeros_like(field)
-        pr.gather(voxels.distance, voxels.albedo, direct, field, place, usable, directions, after)
+        pr.gather(voxels.distance, voxels.albedo, direct, field, place, usable, pr.ray_directions(rays), after)
         for axis in range(3):
             pr.blur(voxels.distance, place, usable, after, field, axis)
             after, field = field.copy(), field

@@ -15,7 +15,8 @@ from h3data.kernels import kernel, kernel_part
 from h3data.render.light.direct import MARKED, SUN, WINDOW, direct_light, sky_radiance
 from h3data.render.light.voxels import GLASS, PROBE_VOXELS, march, sees
 
-_RAYS = 128
+RAYS = (128, 64)
+"""Rays of a probe for the first bounce of light and for the second."""
 _USEFUL = PROBE_VOXELS + 2
 """Probes farther from all surfaces [voxels] light none."""
 _FAINT = 0.02
@@ -37,12 +38,12 @@ class Probes(NamedTuple):
     """Irradiance on surfaces that face -x, +x, -y, +y, -z, +z, shape [X', Y', Z', 6, 3]."""
 
 
-def ray_directions() -> NDArray[np.float32]:
-    """Spherical Fibonacci directions in several rotations about y, shape [8, R, 3]."""
-    k = np.arange(_RAYS) + 0.5
-    y = 1 - 2 * k / _RAYS
+def ray_directions(rays: int) -> NDArray[np.float32]:
+    """Spherical Fibonacci directions in several rotations about y, shape [8, rays, 3]."""
+    k = np.arange(rays) + 0.5
+    y = 1 - 2 * k / rays
     angle = k * np.pi * (3 - np.sqrt(5)) + np.arange(_ROTATIONS)[:, None] * (2 * np.pi * 0.61803399 * 1.37)
-    y = y + ((np.arange(_ROTATIONS)[:, None] + 0.5) / _ROTATIONS - 0.5) * 2 / _RAYS
+    y = y + ((np.arange(_ROTATIONS)[:, None] + 0.5) / _ROTATIONS - 0.5) * 2 / rays
     radius = np.sqrt(np.maximum(1 - y * y, 0))
     return np.stack([radius * np.cos(angle), y, radius * np.sin(angle)], axis=-1).astype(np.float32)
 

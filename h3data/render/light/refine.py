@@ -112,7 +112,8 @@ def _light_new(heap: Heap, faces: NDArray[np.int64], light_at: LightAt) -> None:
     """Light of the vertices of ``faces``."""
     corners = heap.world[faces, :3]
     offset = (corners.mean(1)[:, None] - corners).reshape(-1, 3)
-    inward = np.column_stack([np.bincount(faces.ravel(), offset[:, a], len(heap.vertices)) for a in range(3)])
+    sums = [np.bincount(faces.ravel(), offset[:, a], len(heap.vertices)) for a in range(3)]
+    inward = np.column_stack(sums).astype(np.float64)
     index = np.unique(faces)
     heap.light[index] = light_at(heap.world[index, :3], heap.world[index, 3:], _direction(inward[index]))
 

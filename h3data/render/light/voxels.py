@@ -55,7 +55,9 @@ def voxelise(
     _mark(((triangles - low) / cell).astype(np.float32), colors, glass, distance, sums)
     panes = distance == GLASS
     free = _reachable(distance != 0, lamps=(lamps - low) / cell, cell_m=cell)
-    distance = np.minimum(distance_transform_cdt(free & ~panes, "chessboard"), _FARTHEST).astype(np.uint8)
+    far = np.empty(distance.shape, np.int32)
+    distance_transform_cdt(free & ~panes, "chessboard", distances=far)
+    distance = np.minimum(far, _FARTHEST).astype(np.uint8)
     distance[panes] = GLASS
     total = sums.sum(3, keepdims=True)
     sums = np.where(sums[..., 3:] > 0, sums, total)
@@ -109,7 +111,8 @@ def _reachable(free: NDArray[np.bool_], *, lamps: NDArray[np.float64], cell_m: f
     """Free voxels but those of hollows: closed, smaller than `_HOLLOW_M3` and without a lamp (positions [L, 3])."""
     from scipy.ndimage import label
 
-    parts, count = label(free)
+    parts: NDArray[np.int32] = np.empty(free.shape, np.int32)
+    count = int(np.asarray(label(free, output=parts)))
     keep = np.bincount(parts.ravel(), minlength=count + 1) * cell_m**3 > _HOLLOW_M3
     for border in (parts[0], parts[-1], parts[:, 0], parts[:, -1], parts[:, :, 0], parts[:, :, -1]):
         keep[np.unique(border)] = True

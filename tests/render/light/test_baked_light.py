@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 from dataclasses import replace
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 
 from h3data.files import evict
 from h3data.geometry import IDENTITY_POSE
+from h3data.habitat.scenes.config_keys import KeyNotes
+from h3data.habitat.scenes.lights import read_lights
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import box_mesh
 from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
@@ -161,6 +164,23 @@ def test_a_light_that_cannot_be_used_is_named_and_left_out(
     assert "'bulb 7'" in message
     assert fault in message
     assert "home.scene_instance.json" in message
+
+
+def test_lights_of_habitats_files_light_a_scene(real: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = real / (
+        "habitat-sim/data/test_assets/dataset_tests/dataset_0/lights/dataset_test_lights.lighting_config.json"
+    )
+    lights = read_lights(json.loads(path.read_text()), KeyNotes(), where=path)
+    meshes, instances = _two_rooms()
+    with caplog.at_level(logging.WARNING):
+        sources = sources_of(Scene(name="s", assets={}, instances=(), lights=lights), file=str(path))
+    assert (len(sources.lamps), len(sources.suns)) == (6, 1)
+    assert len(caplog.records) == 5  # Habitat takes light away by negative lamps
+    inside = replace(sources, lamps=sources.lamps[2:3])  # at (0.35, 0.5, 3.5) there; here within the left room
+    moved = replace(inside, lamps=(replace(inside.lamps[0], position=np.array([0.35, 0.5, 1.0])),))
+    lit = lit_scene(meshes, instances, range(len(instances)), moved)
+    near, behind = _brightness(lit, np.array([[0.6, 1.0], [4.5, 1.0]]))
+    assert near > 1.5 * behind
 
 
 def test_a_home_is_lit_through_its_windows_within_the_limits() -> None:
