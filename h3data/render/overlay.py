@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
+from h3data.render.colors import depth_to_rgb
 
 Color = tuple[int, int, int]
 
@@ -67,6 +68,28 @@ def draw_label(
     origin = (at[0] - width // 2, at[1] - 6)
     for rim, paint in ((3, (20, 20, 20)), (1, color)):
         cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)
+
+
+def draw_depth_scale(image: NDArray[np.uint8], near: float, far: float) -> None:
+    """Draws the colours of `h3data.render.depth_to_rgb` from ``near`` to ``far`` [m] into the lower left corner of a depth
+    picture [H, W, 3], with both numbers. Pictures smaller than 96 x 64 stay as they are."""
+    import cv2
+
+    height, width = image.shape[:2]
+    if width < 96 or height < 64:
+        return
+    long, thick, margin = max(width // 4, 64), max(height // 48, 4), max(height // 40, 4)
+    bar = depth_to_rgb(np.broadcast_to(np.linspace(max(near, 1e-3), far, long), (thick, long)), near, far)
+    top = height - margin - thick
+    image[top - 1 : top + thick + 1, margin - 1 : margin + long + 1] = 20
+    image[top : top + thick, margin : margin + long] = bar
+    scale = max(height / 1400, 0.3)
+    for value, right in ((near, False), (far, True)):
+        text = f"{value:.3g} m"
+        (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+        place = (margin + right * (long - wide), top - 4)
+        for rim, paint in ((3, (20, 20, 20)), (1, (240, 240, 240))):
+            cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)
 
 
 def _clip_to_front(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:

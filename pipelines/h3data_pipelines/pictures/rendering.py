@@ -100,6 +100,7 @@ def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, 
     """Returns the conversion from a rendered image to the stored one."""
     from h3data.render import depth_to_rgb, instance_to_rgb
     from h3data.render.image_files import depth_to_mm, stored_ids
+    from h3data.render.overlay import draw_depth_scale
 
     if target.output == "rgb" and annotate and track.camera.name == "top_down":
 
@@ -114,7 +115,14 @@ def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, 
         stage = replay.stage
         (view,) = stage.render(stage.renderer(), first, [track.at(first)], outputs=("depth",))
         near, far = depth_range(view["depth"])
-        return lambda image, _: depth_to_rgb(image, near, far)
+
+        def with_scale(image: NDArray[np.float32], _: int) -> NDArray[np.uint8]:
+            picture = depth_to_rgb(image, near, far)
+            if annotate:
+                draw_depth_scale(picture, near, far)
+            return picture
+
+        return with_scale
     if target.output == "depth":
         return lambda image, _: depth_to_mm(image)
     return lambda image, _: instance_to_rgb(image) if target.colored else stored_ids(image)
