@@ -117,6 +117,13 @@ def test_the_task_is_played_to_success_in_a_headset(server: Any) -> None:
     assert {"move", "head", "hand", "pick", "place"} <= verified_messages(server, said["states"])
 
 
+def test_a_headset_stays_on_from_one_episode_to_the_next(server: Any, tmp_path: Path) -> None:
+    said = play("headsetStays", server.links[0], tmp_path)
+    assert said["words"][-1] == "Trigger: Next episode"
+    assert said["same"]
+    assert said["apart"] < 0.4, "the wearer's head is where the body is"
+
+
 def test_the_page_fits_small_screens_and_is_used_by_keys_alone(server: Any) -> None:
     said = play("sizes", server.links[0])
     assert said["inside"]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
+import ssl
 import subprocess
 import sys
 import time
@@ -10,6 +12,7 @@ from pathlib import Path
 
 import aiohttp
 import pytest
+from yarl import URL
 
 from h3data.recording import read_mcap
 from sim_kinematic.tasks.resume import verify
@@ -133,6 +136,51 @@ def test_other_addresses_need_tls(tmp_path: Path):
     with Server(tmp_path / "rec", {"host": "0.0.0.0"}) as server:
         assert "--cert and --key" in server.reports[0]["refused"]
         assert server.process.wait(10) == 2
+
+
+def test_a_certificate_serves_other_addresses_over_https_alone(tmp_path: Path):
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("there is no openssl to make a certificate with")
+    cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    made = [
+        openssl,
+        "req",
+        "-x509",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:prime256v1",
+        "-nodes",
+        "-days",
+        "2",
+    ]
+    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
+    subprocess.run([*made, *names, "-keyout", key, "-out", cert], check=True, capture_output=True)
+    with Server(tmp_path / "rec", {"host": "0.0.0.0", "cert": str(cert), "key": str(key)}) as server:
+        assert server.links[0].startswith("https://0.0.0.0:")
+        link = server.links[0].replace("0.0.0.0", "127.0.0.1")
+        assert "/s/" in link, "with a secret: others can reach it"
+        asyncio.run(_seated_over_tls(link, ssl.create_default_context(cafile=cert)))
+
+
+async def _seated_over_tls(link: str, trusted: ssl.SSLContext) -> None:
+    async with Bot(link) as bot:
+        await bot.http.close()
+        connector = aiohttp.TCPConnector(ssl=trusted)
+        bot.http = aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True), connector=connector)
+        assert await bot.sit() == 200
+        assert all(cookie["secure"] for cookie in bot.http.cookie_jar)
+        await bot.connect()
+        await bot.until(lambda: bot.states)
+        await bot.socket.close()
+    reader, writer = await asyncio.open_connection("127.0.0.1", URL(link).port)
+    writer.write(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+    assert await reader.read() == b"", "nothing is said without TLS"
+    writer.close()
+    async with aiohttp.ClientSession() as stranger:  # a browser that does not know the certificate
+        with pytest.raises(aiohttp.ClientConnectorCertificateError):
+            await stranger.get(link)
 
 
 def test_a_plan_that_cannot_be_played_says_why(tmp_path: Path):

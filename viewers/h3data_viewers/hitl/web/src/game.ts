@@ -55,20 +55,24 @@ export class Game {
   private walkTo: Vector3 | null = null;
   private ended = false;
 
+  private readonly life = new AbortController();
+
   constructor(
     readonly manifest: Manifest,
     readonly world: World,
     sdf: Sdf,
     readonly net: Net,
     private readonly hud: Hud,
-    options: { antialias: boolean; pixelRatio: number },
+    options: { antialias: boolean; pixelRatio: number; renderer?: WebGLRenderer },
   ) {
+    const { signal } = this.life;
     const { origin, shape, cell } = manifest.sdf;
     const [x1, z1] = [origin[0] + shape[0] * cell, origin[1] + shape[1] * cell];
     const eye = manifest.agents[manifest.me]?.kind === "robot" ? ROBOT_EYE_M : EYE_M;
     this.camera = new CameraRig(manifest.floor_y, eye, [origin[0], origin[1], x1, z1]);
-    this.renderer = new WebGLRenderer({ canvas: hud.canvas, antialias: options.antialias });
-    this.renderer.setPixelRatio(options.pixelRatio);
+    // one that is there shows the episode before, in a headset that is still worn
+    this.renderer = options.renderer ?? new WebGLRenderer({ canvas: hud.canvas, antialias: options.antialias });
+    if (!options.renderer) this.renderer.setPixelRatio(options.pixelRatio);
     this.cues = new Cues(world, manifest, sdf, hud.marks, hud.map);
     this.pointing = new Pointing(world, manifest.floor_y);
     const agent = manifest.agents[manifest.me];
@@ -82,15 +86,27 @@ export class Game {
       look: (dyaw, dpitch) => this.camera.look(dyaw, dpitch),
       zoom: (factor) => this.camera.zoom(factor),
       point: (x, y) => this.point(x, y),
-    });
+    }, signal);
     new Stick(hud.ring, hud.knob, this.input);
-    hud.on("button-leave", () => hud.askToLeave(() => this.net.send({ k: "leave" })));
+    hud.on("button-leave", () => hud.askToLeave(() => this.net.send({ k: "leave" })), signal);
     hud.show("button-leave", agent !== undefined);
-    for (const [button, wish] of BUTTONS) hud.on(button, () => this.wish(wish));
+    for (const [button, wish] of BUTTONS) hud.on(button, () => this.wish(wish), signal);
     if (agent) void this.offerHeadset(agent.drive);
     this.setView(agent ? "third" : "above");
-    addEventListener("resize", () => this.resize());
+    addEventListener("resize", () => this.resize(), { signal });
     this.resize();
+  }
+
+  /** Aborts when the episode is left. */
+  get signal(): AbortSignal {
+    return this.life.signal;
+  }
+
+  /** Lets go of the page and of the graphics card's memory; the renderer stays. */
+  leave(): void {
+    this.life.abort();
+    this.net.close("");
+    this.world.dispose();
   }
 
   // --- from the server ----------------------------------------------------------------------------------------------
@@ -214,7 +230,12 @@ export class Game {
       return;
     }
     this.input.poll(seconds);
-    if (!this.ended && this.hud.playing) this.steer(state, seconds, frame);
+    const plays = !this.ended && this.hud.playing;
+    if (this.headset?.on && frame && this.frames) {
+      const busy = (state.flags & FLAG.busy) !== 0;
+      this.headset.frame(frame, this.shown, busy, plays, this.hud.words(), seconds);
+    }
+    if (plays) this.steer();
     const [a, b, share] = this.span(this.net.clock - LATE_MS);
     const was = this.shown;
     this.place(state, a, b, share, seconds);
@@ -236,12 +257,9 @@ export class Game {
     if (!this.frames++) performance.mark("first-frame");
   }
 
-  private steer(state: State, seconds: number, frame?: XRFrame): void {
-    if (!this.steering) return;
-    if (this.headset?.on && frame) {
-      this.headset.frame(frame, this.shown, (state.flags & FLAG.busy) !== 0, this.hud.words(), seconds);
-      this.steering.send(this.headset.command);
-    } else this.steering.steer(this.input.command(), this.camera, this.shown.heading);
+  private steer(): void {
+    if (this.headset?.on) this.steering?.send(this.headset.command);
+    else this.steering?.steer(this.input.command(), this.camera, this.shown.heading);
   }
 
   /** Where the own body is: predicted while the player steers it, else as late as everybody. */
@@ -308,16 +326,19 @@ export class Game {
     const player = {
       act: () => this.now && this.handle(this.now, true),
       drop: () => this.wish("drop"),
+      goOn: () => this.hud.pressCover(),
       send: (message: Record<string, unknown>) => this.net.send(message),
     };
     const speed = { forward: drive.speed, turn: drive.turn, step: this.manifest.dt };
-    const headset = new Headset(this.renderer, this.camera.camera, this.manifest.floor_y, speed, player);
+    const { signal } = this.life;
+    const headset = new Headset(this.renderer, this.camera.camera, this.manifest.floor_y, speed, player, signal);
     this.world.scene.add(headset.rig);
     this.headset = headset;
     this.hud.show("button-vr", true);
-    this.hud.on("button-vr", () =>
-      headset.enter(() => this.resize()).catch((error: Error) => this.hud.toast(`The headset could not start: ${error.message}`)),
-    );
+    const enter = (): Promise<void> =>
+      headset.enter(() => this.resize()).catch((error: Error) => this.hud.toast(`The headset could not start: ${error.message}`));
+    this.hud.on("button-vr", () => void enter(), signal);
+    if (headset.on) headset.wear(() => this.resize());
   }
 
   setView(view: View): void {
@@ -338,6 +359,7 @@ export class Game {
   }
 
   private resize(): void {
+    if (this.renderer.xr.isPresenting) return;
     this.renderer.setSize(innerWidth, innerHeight, false);
     this.camera.resize(innerWidth, innerHeight);
   }

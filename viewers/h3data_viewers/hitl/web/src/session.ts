@@ -13,11 +13,13 @@ const query = new URLSearchParams(location.search);
 export interface Around {
   /** Label of the button that follows the last picture; empty: the server says whether there is a next episode. */
   next: string;
-  /** A chance to offer more once the link is there, such as a pause. */
-  began(net: Net, hud: Hud): void;
+  /** A chance to offer more once the link is there, such as a pause; `signal` says when the episode is left. */
+  began(net: Net, hud: Hud, signal: AbortSignal): void;
+  /** Whether what follows is another episode, so that a headset may be kept on for it. */
+  followed(): Promise<boolean>;
 }
 
-const ALONE: Around = { next: "", began: () => undefined };
+const ALONE: Around = { next: "", began: () => undefined, followed: () => Promise.resolve(true) };
 
 /** Plays the episode of this browser's seat; what goes wrong is said on the page. */
 export async function play(hud: Hud, around: Around = ALONE): Promise<void> {
@@ -30,7 +32,7 @@ export async function play(hud: Hud, around: Around = ALONE): Promise<void> {
   }
 }
 
-async function begin(hud: Hud, around: Around): Promise<void> {
+async function begin(hud: Hud, around: Around, before?: Game): Promise<void> {
   const seat = await takeSeat((text) => hud.phase("loading", "Loading the home", text));
   performance.mark("seat");
   const { manifest } = seat;
@@ -45,13 +47,30 @@ async function begin(hud: Hud, around: Around): Promise<void> {
     link: (link, why) => game && linked(game, hud, link, why),
   });
   const plain = query.has("plain");
+  before?.leave();
   game = new Game(manifest, world, seat.sdf, net, hud, {
     antialias: !plain,
     pixelRatio: Math.min(devicePixelRatio, Number(query.get("dpr")) || 2),
+    renderer: before?.renderer,
   });
   installProbe(game);
-  around.began(net, hud);
+  around.began(net, hud, game.signal);
   game.renderer.setAnimationLoop((_, frame) => game!.frame(frame));
+}
+
+/** What follows an episode. A page that is loaded again is as fresh as the first one, but it would take off a headset: there the
+ * next home comes into the same page, the one before being shown meanwhile. */
+async function goOn(game: Game, hud: Hud, around: Around): Promise<void> {
+  if (!game.headset?.on || !(await around.followed())) {
+    location.reload();
+    return;
+  }
+  try {
+    await begin(hud, around, game);
+  } catch (error) {
+    const text = error instanceof Refused ? error.message : String(error);
+    hud.phase("refused", "This did not work", text, "Try again", () => location.reload());
+  }
 }
 
 /** A text frame of the server; it may say several things. */
@@ -84,7 +103,7 @@ function over(game: Game, hud: Hud, around: Around, message: NonNullable<Message
   game.over(success);
   game.net.close("");
   const [title, said] = success ? ["Well done!", "Everything is where it belongs."] : ["The episode has ended", ""];
-  hud.phase("over", title, text ?? said, around.next || (next ? "Next episode" : ""), () => location.reload());
+  hud.phase("over", title, text ?? said, around.next || (next ? "Next episode" : ""), () => void goOn(game, hud, around));
 }
 
 function linked(game: Game, hud: Hud, link: Link, why: string): void {

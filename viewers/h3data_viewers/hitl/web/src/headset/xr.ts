@@ -16,6 +16,8 @@ const HEAD_RAD = 0.02;
 /** The body follows a head that looks further aside than this, rad: at once while walking, else as people turn their feet. */
 const WALK_ASIDE = 0.06;
 const STAND_ASIDE = 0.7;
+/** A cover is read for so long before a trigger goes on from it. */
+const COVERED_MS = 800;
 /** The wearer may lean this far before the body counts as moved with them, m. */
 const LEAN_M = 0.25;
 /** The eyes are this far ahead of the middle of the body, m. */
@@ -29,6 +31,8 @@ export interface XrPlayer {
   /** Takes the next thing or puts down what is held, walking there if it is out of reach. */
   act(): void;
   drop(): void;
+  /** Goes on from a cover, such as that of the end of an episode. */
+  goOn(): void;
   send(message: Record<string, unknown>): void;
 }
 
@@ -50,6 +54,8 @@ export class Headset {
   private snapped = false;
   private sentAt = 0;
   private ticks = 0;
+  /** When the episode was last under way. */
+  private playedAt = 0;
   private lastHead = { yaw: 0, pitch: 0 };
 
   constructor(
@@ -58,6 +64,7 @@ export class Headset {
     private readonly floorY: number,
     private readonly speed: { forward: number; turn: number; step: number },
     private readonly player: XrPlayer,
+    private readonly life: AbortSignal,
   ) {
     this.rig.add(camera);
     this.panel = new Panel(this.rig);
@@ -74,9 +81,14 @@ export class Headset {
   async enter(ended: () => void): Promise<void> {
     const session = await navigator.xr!.requestSession("immersive-vr", { optionalFeatures: ["local-floor", "hand-tracking"] });
     this.renderer.xr.enabled = true;
-    this.fresh = true;
     await this.renderer.xr.setSession(session);
-    session.addEventListener("end", () => {
+    this.wear(ended);
+  }
+
+  /** Goes on in the session that is there, such as that of the episode before. */
+  wear(ended: () => void): void {
+    this.fresh = true;
+    const leaves = (): void => {
       for (const side of ["left", "right"] as const) this.release(side);
       this.player.send({ k: "head", yaw: 0, pitch: 0 });
       this.command = { forward: 0, turn: 0 };
@@ -84,12 +96,13 @@ export class Headset {
       this.rig.rotation.set(0, 0, 0);
       this.panel.hide();
       ended();
-    });
+    };
+    this.renderer.xr.getSession()!.addEventListener("end", leaves, { signal: this.life });
   }
 
-  /** Puts the wearer's room where the body is, and reads head, hands and controllers. `busy`: a skill moves the body;
-   * `words` are to be read by the wearer. */
-  frame(frame: XRFrame, body: Base, busy: boolean, words: string[], seconds: number): void {
+  /** Puts the wearer's room where the body is, and reads head, hands and controllers. `busy`: a skill moves the body; `plays`:
+   * the episode is under way, else the trigger goes on from what covers it; `words` are to be read by the wearer. */
+  frame(frame: XRFrame, body: Base, busy: boolean, plays: boolean, words: string[], seconds: number): void {
     const space = this.renderer.xr.getReferenceSpace();
     const session = this.renderer.xr.getSession();
     const view = space && frame.getViewerPose(space)?.transform;
@@ -111,6 +124,11 @@ export class Headset {
     this.rig.localToWorld(this.head.copy(eye));
     this.panel.show(words, eye, facing, seconds);
     let stick = { x: 0, y: 0 };
+    if (plays) this.playedAt = performance.now();
+    else {
+      this.wait(session);
+      return;
+    }
     for (const source of session.inputSources) {
       const side = source.handedness;
       if (side !== "left" && side !== "right") continue;
@@ -123,6 +141,17 @@ export class Headset {
     this.sentAt = performance.now();
     if (this.ticks++ % 2 === 0) this.look(yaw, -Math.asin(clamp(gaze.y, -1, 1)));
     for (const side of ["left", "right"] as const) if (this.sent[side]) this.player.send(this.handMessage(side, body));
+  }
+
+  /** Nothing is played: a trigger that is pulled after a moment goes on. */
+  private wait(session: XRSession): void {
+    for (const { handedness, gamepad } of session.inputSources) {
+      if (!gamepad || handedness === "none") continue;
+      const down = gamepad.buttons.map((button) => button.pressed);
+      const pulls = down[TRIGGER] && !this.down[handedness][TRIGGER];
+      this.down[handedness] = down;
+      if (pulls && performance.now() - this.playedAt > COVERED_MS) this.player.goOn();
+    }
   }
 
   private look(yaw: number, pitch: number): void {

@@ -66,7 +66,7 @@ export class Net {
     private readonly listener: NetListener,
   ) {
     this.connect();
-    setInterval(() => this.beat(), PING_MS);
+    const beat = setInterval(() => (this.link === "closed" ? clearInterval(beat) : this.beat()), PING_MS);
   }
 
   get latest(): State | undefined {

@@ -50,19 +50,22 @@ export class Input {
   constructor(
     private readonly canvas: HTMLElement,
     private readonly listener: Listener,
+    signal: AbortSignal,
   ) {
-    addEventListener("keydown", (event) => this.keyDown(event));
-    addEventListener("keyup", (event) => this.held.delete(event.code));
+    const until = { signal };
+    addEventListener("keydown", (event) => this.keyDown(event), until);
+    addEventListener("keyup", (event) => this.held.delete(event.code), until);
     // else a key stays down for ever when the window loses the focus
-    addEventListener("blur", () => this.release());
-    document.addEventListener("visibilitychange", () => document.hidden && this.release());
-    canvas.addEventListener("pointerdown", (event) => this.pointerDown(event));
-    canvas.addEventListener("pointermove", (event) => this.pointerMove(event));
-    canvas.addEventListener("pointerup", (event) => this.pointerUp(event));
-    canvas.addEventListener("pointercancel", () => (this.drag = null));
-    canvas.addEventListener("pointerleave", () => (this.pointer = null));
-    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("wheel", (event) => listener.zoom(event.deltaY > 0 ? 1.1 : 1 / 1.1), { passive: true });
+    addEventListener("blur", () => this.release(), until);
+    document.addEventListener("visibilitychange", () => document.hidden && this.release(), until);
+    canvas.addEventListener("pointerdown", (event) => this.pointerDown(event), until);
+    canvas.addEventListener("pointermove", (event) => this.pointerMove(event), until);
+    canvas.addEventListener("pointerup", (event) => this.pointerUp(event), until);
+    canvas.addEventListener("pointercancel", () => (this.drag = null), until);
+    canvas.addEventListener("pointerleave", () => (this.pointer = null), until);
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault(), until);
+    const closer = (event: WheelEvent): void => listener.zoom(event.deltaY > 0 ? 1.1 : 1 / 1.1);
+    canvas.addEventListener("wheel", closer, { passive: true, signal });
   }
 
   release(): void {

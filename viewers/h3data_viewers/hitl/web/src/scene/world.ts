@@ -56,6 +56,19 @@ export class World {
     return new World(file.scene, manifest);
   }
 
+  /** Frees what the graphics card holds of it. */
+  dispose(): void {
+    this.scene.traverse((node) => {
+      if (!("isMesh" in node)) return;
+      const { geometry, material } = node as Mesh;
+      geometry.dispose();
+      for (const one of [material].flat()) {
+        (one as MeshBasicMaterial).map?.dispose();
+        one.dispose();
+      }
+    });
+  }
+
   private constructor(
     root: Group,
     private readonly manifest: Stage,

@@ -52,8 +52,8 @@ export class Hud {
     }
   }
 
-  on(button: string, press: () => void): void {
-    $(button).addEventListener("click", press);
+  on(button: string, press: () => void, signal: AbortSignal): void {
+    $(button).addEventListener("click", press, { signal });
   }
 
   show(button: string, shown: boolean): void {
@@ -140,12 +140,19 @@ export class Hud {
     this.pressed("button-map", !document.body.classList.toggle("no-map"));
   }
 
+  /** Presses the button of a cover, if it has one. */
+  pressCover(): void {
+    if (!$("cover-button").hidden) $("cover-button").click();
+  }
+
   /** What the page says, for a headset. */
   words(): string[] {
     const rows = [...document.querySelectorAll("#todo li")].map((row) => [...row.children].map((cell) => cell.textContent));
     const todo = rows.map(([letter, name, state]) => `${letter}  ${name}: ${state}`);
     const cover = this.playing ? [] : [$("cover-title"), $("cover-text")].map((node) => node.textContent!);
-    return [$("title").textContent!, ...todo, ...cover, $("toast").textContent!].filter(Boolean);
+    if (!this.playing && !$("cover-button").hidden) cover.push(`Trigger: ${$("cover-button").textContent}`);
+    if (!this.playing) return cover.filter(Boolean);
+    return [$("title").textContent!, ...todo, $("toast").textContent!].filter(Boolean);
   }
 
   get playing(): boolean {

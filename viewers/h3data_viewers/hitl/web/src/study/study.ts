@@ -169,7 +169,11 @@ class Study {
         page.replaceChildren();
         void play(this.hud, {
           next: word(view, "next"),
-          began: (net, hud) => {
+          followed: async () => {
+            const { stage } = (await post("api/study", { ids: this.ids })) as unknown as View;
+            return stage.kind === "episode";
+          },
+          began: (net, hud, signal) => {
             const resume = (): void => {
               void post("api/study/pause", { paused: false });
               hud.phase("lost", word(view, "paused_title"), "");
@@ -181,7 +185,7 @@ class Study {
               net.pause();
               void post("api/study/pause", { paused: true });
               hud.phase("paused", word(view, "paused_title"), word(view, "paused"), word(view, "go_on"), resume);
-            });
+            }, signal);
           },
         });
       },

@@ -123,6 +123,39 @@ async function headset() {
   return { walked: Math.hypot(to.x - from.x, to.z - from.z), held, over: await player.over, ...(await player.close()) };
 }
 
+/** A headset that stays on: an episode is left, the trigger begins the next one in the same page, which is walked in. */
+async function headsetStays() {
+  const player = await openPage(url, { headset: true, width: 960, height: 540 });
+  await player.started();
+  await player.page.click("#button-vr");
+  await player.until("probe.game.headset.on", "the headset to be entered");
+  await player.nap(1200);
+  await player.ask("window.first = { game: probe.game, worn: probe.game.renderer.xr.getSession() }; 0");
+  await player.ask("probe.game.net.send({ k: 'leave' }); 0");
+  await player.until("!!probe.over", "the end of the episode");
+  await player.nap(1200);
+  const words = await player.ask("probe.game.hud.words()");
+  await player.shot(picture("over"));
+  const right = (call) => player.ask(`headset.controllers.right.${call}; 0`);
+  await right("updateButtonValue('trigger', 1)");
+  await player.nap(500);
+  await right("updateButtonValue('trigger', 0)");
+  await player.until("probe.game !== window.first?.game", "the next episode", 60_000);
+  await player.started();
+  await player.until("!!probe.game.headset?.on", "the headset to be worn in the next episode");
+  const same = await player.ask("probe.game.renderer.xr.getSession() === window.first.worn");
+  await player.nap(1000);
+  const from = await player.ask("({ ...probe.game.shown })");
+  await right("updateButtonValue('trigger', 1)");
+  await player.nap(500);
+  await right("updateButtonValue('trigger', 0)");
+  const walked = `Math.hypot(probe.game.shown.x - ${from.x}, probe.game.shown.z - ${from.z})`;
+  await player.until(`${walked} > 0.5`, "the trigger to lead to a thing", 60_000);
+  await player.shot(picture("next"));
+  const apart = await player.ask("Math.hypot(probe.game.headset.head.x - probe.game.shown.x, probe.game.headset.head.z - probe.game.shown.z)");
+  return { words, same, apart, ...(await player.close()) };
+}
+
 /** Two people in one world, and somebody who watches; `url` has the three links, separated by commas. */
 async function together() {
   const links = url.split(",");
@@ -201,6 +234,6 @@ async function tutorial() {
   return { texts, refused, over: await player.over, ...(await player.close()) };
 }
 
-const SCENARIOS = { task, walk, click, reconnect, headset, together, sizes, tutorial };
+const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
