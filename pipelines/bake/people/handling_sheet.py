@@ -1,9 +1,12 @@
-"""docs/pictures/handling.jpg: a person who picks a thing, carries it and places it in a home, frame by frame.
+"""docs/pictures/handling.jpg: a person who picks a thing, carries it and places it in a home, frame by frame; corridor.jpg: one
+who turns round in a corridor and goes on down it.
 
     python -m bake.people.handling_sheet docs/pictures/handling.jpg
+    python -m bake.people.handling_sheet docs/pictures/corridor.jpg corridor
 
-All rows are of one simulated episode of rearrangement with a robot, seen from where the line of sight is free: the first pick
-and its hand close up; carrying past the robot; the sharpest turn while walking in a narrow place; placing, and its hand.
+All rows of the first are of one simulated episode of rearrangement with a robot, seen from where the line of sight is free: the
+first pick and its hand close up; carrying past the robot; the sharpest turn while walking in a narrow place; placing, and its
+hand. Those of the second are of one minute of a person and a robot who wander: the turn, and where the robot is nearest.
 """
 
 from __future__ import annotations
@@ -82,8 +85,24 @@ def around(step: int, every: int, length: int, *, before: float = 0.5) -> NDArra
     return np.clip(first + np.arange(FRAMES) * every, 0, length - 1)
 
 
-def main(target: str) -> None:
-    """Writes the sheet."""
+def corridor() -> NDArray[np.uint8]:
+    """The rows of a corridor."""
+    home = h3data.build_home(h3data.HomeSpec(preset="medium", seed=3))
+    recording = h3data.simulate("wander", home, roster="robot,female_1", seed=1, max_steps=1800)
+    stage, length = Stage(Replay(recording)), len(recording)
+    xz = stage.base[:, [0, 2]]
+    halls = np.concatenate([room.rectangles for room in home.rooms if room.category == "hall"])
+    inside = np.any(np.all((xz[:, None] >= halls[:, :2]) & (xz[:, None] <= halls[:, 2:]), axis=-1), axis=1)
+    turned = np.abs(wrap_angle(stage.heading[60:] - stage.heading[:-60]))
+    turn = 30 + int(np.argmax(turned * inside[30:-30]))
+    robot = recording.agent_column(0, "base_pose")[:, [0, 2]]
+    nearest = int(np.argmin(np.where(inside, np.hypot(*(robot - xz).T), np.inf)))
+    moments = ((turn, 6), (nearest, 8))
+    return np.concatenate([stage.row(around(at, every, length), float(stage.heading[at])) for at, every in moments])
+
+
+def handling() -> NDArray[np.uint8]:
+    """The rows of an episode of rearrangement."""
     recording = h3data.simulate("rearrange", HOME, seed=SEED, human_walk="natural")
     replay, length = Replay(recording), len(recording)
     stage = Stage(replay)
@@ -104,8 +123,13 @@ def main(target: str) -> None:
         side = float(stage.heading[steps[0]]) - SIDE_RAD
         rows.append([stage.row(steps, side), stage.row(steps, side, joint="right_wrist")])
     walking = [stage.row(around(step, 4, length), float(stage.heading[step])) for step in (nearest, turn)]
-    write_jpg(Path(target), np.concatenate([*rows[0], *walking, *rows[1]]), quality=75)
+    return np.concatenate([*rows[0], *walking, *rows[1]])
+
+
+def main(target: str, place: str = "") -> None:
+    """Writes a sheet."""
+    write_jpg(Path(target), corridor() if place == "corridor" else handling(), quality=75)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])
