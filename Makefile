@@ -95,8 +95,8 @@ format: setup
 bench: setup  ## all benchmarks, or GROUP=render
 	$(BIN)/python -m benchmarks $(GROUP)
 
-wheel: setup
-	$(BIN)/python -m build --no-isolation
+wheel: setup  ## wheel and sdist, the same bytes for the same commit
+	SOURCE_DATE_EPOCH=`git log -1 --format=%ct 2>/dev/null || echo 1700000000` $(BIN)/python -m build --no-isolation
 
 clean:
 	rm -rf $(VENV) $(LEROBOT) out dist build

@@ -1,5 +1,6 @@
 """The built wheel is complete: its packages and data work outside the repository."""
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -67,3 +68,17 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert says in done.stdout
+
+
+@pytest.mark.slow
+def test_wheel_and_sdist_are_the_same_bytes_again(tmp_path: Path) -> None:
+    digests = []
+    for zone, mask in (("UTC", 0o022), ("Asia/Tokyo", 0o077)):
+        out = tmp_path / zone.replace("/", "_")
+        subprocess.run(
+            [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(ROOT)],
+            check=True, capture_output=True, umask=mask, env={**os.environ, "SOURCE_DATE_EPOCH": "1700000000", "TZ": zone},
+        )  # fmt: skip
+        digests.append({path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in out.iterdir()})
+    assert len(digests[0]) == 2
+    assert digests[0] == digests[1]

@@ -27,6 +27,7 @@ from h3data_pipelines.learning.training import Train
 from h3data_pipelines.machine.bench import Bench
 from h3data_pipelines.machine.completion import Completion
 from h3data_pipelines.machine.doctor import Doctor
+from h3data_pipelines.machine.planning import Plan
 from h3data_pipelines.machine.warmup import Warmup
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
@@ -62,6 +63,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "doctor": Doctor,
     "warmup": Warmup,
     "bench": Bench,
+    "plan": Plan,
     "completion": Completion,
 }
 Completion.commands = COMMANDS

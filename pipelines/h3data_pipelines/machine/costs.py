@@ -1,0 +1,126 @@
+"""What a job costs on this machine, in CPU time: the figures from which `h3data plan` reckons."""
+
+from __future__ import annotations
+
+import pickle
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from h3data.errors import InputError
+
+FRAMES = {"robot_arm": "224x171", "human_head": "640x480", "top_down": "576x830"}
+"""Cameras whose frames are measured, and their size in a small home [px]."""
+_START = "import numba, scipy, pyarrow; from h3data_pipelines.jobs.running import film_job"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Costs:
+    """CPU seconds on one core."""
+
+    task: str
+    start_s: float
+    """A worker's start: Python and its imports; compiled kernels are there."""
+    scene_s: float
+    """A home that a worker sees for the first time: making it, free space, collision shapes."""
+    episode_s: float
+    """An episode, whatever its length: starts, paths, records."""
+    step_s: float
+    """A step of the simulation."""
+    steps: float
+    """Mean length of an episode."""
+    frame_s: dict[str, float]
+    """A frame of each camera in `FRAMES`, rendered and encoded."""
+    metrics_s: float
+    """The metrics of an episode, read from a dataset."""
+    driver_s: float
+    """An episode in the one process that writes: received, stored, uncompressed sizes and hashes included."""
+    episode_bytes: float
+    """An episode in a dataset."""
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: Any) -> Costs:
+        """Costs as ``h3data plan --measure --json`` prints them.
+
+        Raises:
+            InputError: they are something else.
+        """
+        try:
+            return cls(**values["costs"])
+        except (TypeError, KeyError):
+            raise InputError("Expected costs as `h3data plan TASK --measure --json` prints them.") from None
+
+
+def measure_costs(task: str, *, episodes: int = 4, max_steps: int = 600) -> Costs:
+    """Measures a job of ``task`` in homes of the preset small; half a minute.
+
+    CPU time is not wall-clock time: other processes of this machine hardly change it.
+    """
+    from h3data.metrics import measure_files
+    from h3data.recording import DatasetWriter
+    from h3data_pipelines.jobs.episodes import Choices, make_jobs
+    from h3data_pipelines.jobs.running import Filmed, Filming, film_job
+
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, "-c", _START], check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    jobs = make_jobs(Choices(task=task, max_steps=max_steps), "small", episodes=episodes + 2, homes=2, seed=0)
+    plain = Filming((), threads=1)
+    film_job(_short(jobs[0]), plain)  # kernels of this process, and the first home
+    second = _cpu(lambda: film_job(_short(jobs[1]), plain))
+    again = _cpu(lambda: film_job(_short(jobs[1]), plain))
+    filmed: list[Filmed] = []
+    took_s = _cpu(lambda: filmed.extend(film_job(job, plain) for job in jobs[2:]))
+    lengths = [len(each.recording) for each in filmed]
+    step_s = max(took_s - again * len(filmed), 0.0) / max(sum(lengths), 1)
+
+    frame_s = {}
+    for camera in FRAMES:
+        film_job(_short(jobs[2], 2), Filming((camera,), threads=1))  # kernels and textures
+        few, many = (
+            _cpu(lambda n=n, camera=camera: film_job(_short(jobs[2], n), Filming((camera,), threads=1)))
+            for n in (2, 42)
+        )
+        frame_s[camera] = max(many - few - 40 * step_s, 0.0) / 40
+
+    with TemporaryDirectory(prefix="h3data-") as folder:
+        sent = [pickle.dumps(each, protocol=5) for each in filmed]
+
+        def write(name: str, times: int) -> None:
+            with DatasetWriter(Path(folder, name)) as writer:
+                for k in range(times * len(sent)):
+                    recording = pickle.loads(sent[k % len(sent)]).recording
+                    writer.add(replace(recording, episode=replace(recording.episode, uid=f"{k}", episode_id=f"{k}")))
+
+        write("first", 1)
+        few, many = (_cpu(lambda n=n: write(f"of_{n}", n)) for n in (1, 5))
+        write_s = (many - few) / (4 * len(sent))
+        of_many = Path(folder, "of_5")
+        size = sum(path.stat().st_size for path in of_many.rglob("*.parquet")) / (5 * len(sent))
+        measure_files([of_many], workers=1)
+        metrics_s = _cpu(lambda: measure_files([of_many], workers=1)) / (5 * len(sent))
+    return Costs(
+        task=task, start_s=start_s, scene_s=max(second - again, 0.0), episode_s=again, step_s=step_s,
+        steps=sum(lengths) / len(lengths), frame_s=frame_s, metrics_s=metrics_s, driver_s=write_s, episode_bytes=size,
+    )  # fmt: skip
+
+
+def _short(job: Any, steps: int = 1) -> Any:
+    return replace(job, spec=replace(job.spec, max_steps=steps))
+
+
+def _cpu(work: Callable[[], object]) -> float:
+    began = time.process_time()
+    work()
+    return time.process_time() - began

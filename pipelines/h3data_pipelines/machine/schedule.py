@@ -1,0 +1,84 @@
+"""A job on many cores, played out shard by shard from measured costs: when it ends, and what holds it up."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from dataclasses import dataclass
+
+AHEAD = 4
+"""Results per worker that may wait for the one who writes, as in `h3data_pipelines.execution.ray_cluster`."""
+MOST_SHARDS = 200_000
+"""Of longer jobs this many shards are played out; the rest goes on at the pace of their second half."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workload:
+    """Shards of equal cost, apart from the first sight of a home."""
+
+    shards: int
+    shard_s: float
+    scenes: int
+    """Different homes that the shards go round."""
+    scene_s: float
+    """A home that a worker sees for the first time."""
+    start_s: float
+    """A worker's start."""
+    driver_s: float
+    """A shard in the one process that writes its dataset."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How it went."""
+
+    seconds: float
+    cpu_s: float
+    """Time that workers were busy."""
+    speedup: float
+    """Over one worker."""
+    held_up_by: str
+    """``work``, ``writer``, ``scenes`` or ``start``: where most of the lost time went."""
+
+
+def simulate_schedule(load: Workload, workers: int, *, datasets: int = 1) -> Schedule:
+    """Plays the shards on ``workers`` cores, with the work cut into ``datasets`` jobs of their own, each with a writer.
+
+    Workers take shards in order. The writer of a job takes results in order, one at a time; when `AHEAD` results per worker
+    wait for it, workers wait too.
+    """
+    per_job, cores = -(-load.shards // datasets), max(workers // datasets, 1)
+    played = min(per_job, MOST_SHARDS)
+    free = [(load.start_s, number) for number in range(min(cores, played))]
+    heapq.heapify(free)
+    seen: list[set[int]] = [set() for _ in free]
+    waiting: deque[float] = deque()
+    written = busy = scenes = half = 0.0
+    for index in range(played):
+        at, worker = heapq.heappop(free)
+        if len(waiting) >= AHEAD * cores:  # the writer is behind
+            at = max(at, waiting.popleft())
+        home = index % load.scenes
+        new = home not in seen[worker]
+        seen[worker].add(home)
+        cost = load.shard_s + (load.scene_s if new else 0.0)
+        busy, scenes = busy + cost, scenes + (load.scene_s if new else 0.0)
+        heapq.heappush(free, (at + cost, worker))
+        written = max(written, at + cost) + load.driver_s
+        waiting.append(written)
+        if index == played // 2:
+            half = written
+    rest = per_job - played
+    if rest:
+        pace = (written - half) / (played - played // 2)
+        written, busy = written + rest * pace, busy + rest * load.shard_s
+    one = load.start_s + min(load.scenes, load.shards) * load.scene_s + load.shards * max(load.shard_s, load.driver_s)
+    lost = {
+        "work": per_job * load.shard_s / cores,
+        "writer": per_job * load.driver_s if per_job * load.driver_s > 0.9 * written else 0.0,
+        "scenes": scenes / cores,
+        "start": load.start_s,
+    }
+    return Schedule(
+        written, (busy + cores * load.start_s) * datasets, one / written, max(lost, key=lambda name: lost[name])
+    )
