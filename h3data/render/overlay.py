@@ -83,12 +83,12 @@ def draw_depth_scale(image: NDArray[np.uint8], near: float, far: float) -> None:
     top = height - margin - thick
     image[top - 1 : top + thick + 1, margin - 1 : margin + long + 1] = 20
     image[top : top + thick, margin : margin + long] = bar
-    scale = max(height / 1400, 0.3)
+    scale = max(height / 1000, 0.32)
     for value, right in ((near, False), (far, True)):
         text = f"{value:.3g} m"
         (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
         place = (margin + right * (long - wide), top - 4)
-        for rim, paint in ((3, (20, 20, 20)), (1, (240, 240, 240))):
+        for rim, paint in ((2, (20, 20, 20)), (1, (255, 255, 255))):
             cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)
 
 

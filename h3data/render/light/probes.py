@@ -15,7 +15,7 @@ from h3data.kernels import kernel, kernel_part
 from h3data.render.light.direct import MARKED, SUN, WINDOW, direct_light, sky_radiance
 from h3data.render.light.voxels import GLASS, PROBE_VOXELS, march, sees
 
-RAYS = (128, 64)
+RAYS = (96, 64)
 """Rays of a probe for the first bounce of light and for the second."""
 _USEFUL = PROBE_VOXELS + 2
 """Probes farther from all surfaces [voxels] light none."""

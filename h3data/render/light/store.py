@@ -24,7 +24,7 @@ from h3data.render.shade.shading import Light
 
 log = logging.getLogger(__name__)
 
-FORMAT = 2
+FORMAT = 3
 """Part of the key: raise it whenever the bake changes."""
 ROOM_BYTES = 2e9
 """The cache keeps the most recently used homes up to this size."""
