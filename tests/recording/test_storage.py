@@ -128,6 +128,21 @@ def test_a_shard_is_visible_from_its_commit_on(store: str) -> None:
     assert len(Dataset(f"{store}/ds")) == 1
 
 
+def test_of_two_writers_the_first_is_told(store: str) -> None:
+    first = DatasetWriter(f"{store}/ds")
+    first.add(EPISODES[0])
+    first.commit()
+    with DatasetWriter(f"{store}/ds", resume=True) as second:
+        second.add(EPISODES[2])
+        first.add(EPISODES[0])
+        with pytest.raises(InputError, match="Another process is writing this dataset"):
+            first.commit()
+    assert [
+        recordings_equal(a, b) for a, b in zip((EPISODES[0], EPISODES[2]), Dataset(f"{store}/ds"), strict=True)
+    ] == [[], []]
+    assert not (place(store) / "ds" / "h3" / "writer").exists()
+
+
 @pytest.mark.parametrize("fails_at", range(7))
 def test_an_upload_that_fails_commits_nothing(fails_at: int, monkeypatch: pytest.MonkeyPatch) -> None:
     uri = f"mock://failing/{fails_at}"

@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import tempfile
+import uuid
 import weakref
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -34,6 +35,8 @@ from h3data.recording.schema import Layout, episode_to_dict, layout_of, layout_t
 from h3data.recording.storage import RemotePath, place, put_tree, remove_tree
 
 EPISODES_PER_FILE = 100
+_WRITER = "h3/writer"
+"""Who writes a dataset in an object store; gone when it is closed."""
 
 
 class DatasetWriter:
@@ -46,7 +49,8 @@ class DatasetWriter:
     commits all completely added episodes, also on an exception or Ctrl-C. One writer per folder at a time.
 
     The root may be a URI (``s3://bucket/ds``). Each shard is then made in a temporary folder and uploaded when it is
-    committed, its episode table last; a second writer goes unnoticed.
+    committed, its episode table last. Of two writers the one that came first is told at its next commit, before it uploads
+    anything: the name of the last one is in ``h3/writer`` as long as it writes.
     """
 
     def __init__(
@@ -70,6 +74,7 @@ class DatasetWriter:
         self.root = place(root)
         self._local_root = self.root if isinstance(self.root, Path) else Path(tempfile.mkdtemp(prefix="h3data-"))
         """Folder where a shard's files are made: the dataset itself, or a temporary one until they are uploaded."""
+        self._name = uuid.uuid4().hex
         if isinstance(self.root, RemotePath):
             weakref.finalize(self, shutil.rmtree, self._local_root, ignore_errors=True)
         self.closed = False
@@ -141,6 +146,7 @@ class DatasetWriter:
             try:
                 shard.commit()
                 if isinstance(self.root, RemotePath):
+                    self._require_mine(self.root)
                     put_tree(self._local_root, self.root, last="meta/episodes")
             except BaseException:
                 shard.discard()
@@ -157,6 +163,10 @@ class DatasetWriter:
         if not self.closed:
             self.commit()
             self.closed = True
+            if isinstance(self.root, RemotePath) and self._schema is not None:
+                with self._writing():
+                    self._require_mine(self.root)
+                    (self.root / _WRITER).unlink()
 
     def __enter__(self) -> Self:
         return self
@@ -203,10 +213,21 @@ class DatasetWriter:
                 f"resume=True to continue it: {root}"
             )
 
+    def _claim(self) -> None:
+        """Says in an object store, which has no other means, who writes."""
+        if isinstance(self.root, RemotePath):
+            (self.root / _WRITER).put(self._name.encode())
+
+    def _require_mine(self, root: RemotePath) -> None:
+        mark = root / _WRITER
+        if not mark.is_file() or mark.read_bytes() != self._name.encode():
+            raise InputError(f"Another process is writing this dataset; end one of them, go on with --resume: {root}")
+
     def _resume(self) -> None:
         if not (self.root / "h3" / "schema.json").exists():
             raise InputError(f"A dataset, but not written by h3data; choose another folder: {self.root}")
         self._schema = DatasetSchema.load(self.root)
+        self._claim()
         for leftover in self.root.rglob("*.part"):
             leftover.unlink()
         committed = shard_files(self.root, "meta/episodes")
@@ -269,6 +290,7 @@ class DatasetWriter:
             raise InputError(f"Columns that a LeRobot dataset cannot have: {'; '.join(faults)}. Rename them.")
         schema = DatasetSchema(columns=columns, fps=self._fps, robot_type=robots[0] if robots else "none")
         write_atomic(self.root / "h3" / "schema.json", schema.to_json())
+        self._claim()
         self._schema = schema
 
 
