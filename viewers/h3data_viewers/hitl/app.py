@@ -95,9 +95,11 @@ class App:
     def over(self, number: int) -> str:
         """What the player reads at the end."""
         ended = self.session.ended
-        return {"success": "Done. Thank you!", "max_steps": "The time is up.", "": "The episode has been ended."}.get(
-            ended, f"The episode has ended: {ended.replace('_', ' ')}."
-        )
+        return {
+            "success": "Done. Thank you!",
+            "max_steps": "The time is up.",
+            "closed": "The episode has been ended.",
+        }.get(ended, f"The episode has ended: {ended.replace('_', ' ')}.")
 
     @property
     def left_s(self) -> float:
