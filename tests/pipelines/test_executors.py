@@ -6,6 +6,7 @@ import json
 import pickle
 import socket
 import sys
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 
 from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data_pipelines.cli import main
-from h3data_pipelines.execution import ray_worker
+from h3data_pipelines.execution import ray_cluster, ray_worker
 from h3data_pipelines.execution.executors import check_workers, opened
 from h3data_pipelines.execution.processes import Processes
 from h3data_pipelines.execution.ray_worker import Origin, carry_out, portable_task
@@ -69,6 +70,21 @@ def test_nobody_at_the_address() -> None:
             pass
     with pytest.raises(InputError, match="Expected --executor ray://HOST:PORT"), opened("ray://head", 1):
         pass
+
+
+def test_a_shard_is_hardly_to_blame_for_the_death_of_its_node() -> None:
+    pytest.importorskip("ray")
+    from ray.exceptions import NodeDiedError, WorkerCrashedError
+
+    under_way = object.__new__(ray_cluster._UnderWay)
+    under_way.attempts, under_way.done, under_way.again, under_way.tries = {}, {}, [], Counter()
+    for _ in range(10):
+        under_way._lost(0, NodeDiedError("power"))
+    for _ in range(3):
+        under_way._lost(0, WorkerCrashedError())
+    assert not under_way.done
+    under_way._lost(0, WorkerCrashedError())
+    assert "in 4 tries; at the last one its process died" in str(under_way.done[0])
 
 
 # --- what a worker of Ray does, in this process -----------------------------------------------------------------------

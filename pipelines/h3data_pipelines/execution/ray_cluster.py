@@ -24,7 +24,9 @@ from h3data_pipelines.execution.ray_worker import Origin, portable_task
 from h3data_pipelines.execution.shards import LostShardError, R, S
 
 TRIES = 4
-"""Times that a shard is begun again after the process that had it died, the first one included."""
+"""Times that a shard is begun before it is given up, when the process that had it dies each time."""
+NODE_TRIES = 20
+"""The same when the whole node dies, for which the shard is hardly to blame."""
 _AHEAD = 4
 """Results that may wait for an earlier one, per worker."""
 _SLOW = 3.0
@@ -38,6 +40,7 @@ _REASONS = {
     "OutOfMemoryError": "its node ran out of memory",
     "ObjectLostError": "its node died with the result",
 }
+_NODE_DEATHS = ("NodeDiedError", "ObjectLostError", "OwnerDiedError", "LocalRayletDiedError")
 _log = logging.getLogger(__name__)
 
 
@@ -164,7 +167,8 @@ class _UnderWay:
     attempts: dict[Any, _Attempt] = field(default_factory=dict)
     """What runs, by Ray's reference."""
     done: dict[int, Any] = field(default_factory=dict)
-    tries: Counter[int] = field(default_factory=Counter)
+    tries: Counter[tuple[int, int]] = field(default_factory=Counter)
+    """How often a shard was lost, by its index and the most that is allowed of that."""
     took_s: list[float] = field(default_factory=list)
     begun: int = 0
     again: list[int] = field(default_factory=list)
@@ -254,15 +258,15 @@ class _UnderWay:
         """A worker died with a shard, or its result with a node."""
         if index in self.done or any(attempt.index == index for attempt in self.attempts.values()):
             return
-        self.tries[index] += 1
-        reason = _REASONS.get(type(error).__name__, type(error).__name__)
-        if self.tries[index] < TRIES:
-            _log.warning(
-                "shard %d was lost (%s): it is tried again (%d of %d)", index, reason, self.tries[index] + 1, TRIES
-            )
+        name = type(error).__name__
+        most = NODE_TRIES if name in _NODE_DEATHS else TRIES
+        self.tries[index, most] += 1
+        tried, reason = self.tries[index, most], _REASONS.get(name, name)
+        if tried < most:
+            _log.warning("shard %d was lost (%s): it is tried again (%d of %d)", index, reason, tried + 1, most)
             self.again.append(index)
         else:
-            text = f"No worker finished it in {TRIES} tries; at the last one {reason}"
+            text = f"No worker finished it in {most} tries; at the last one {reason}"
             _log.warning("shard %d is given up: %s", index, text)
             self.done[index] = LostShardError(text)
 
