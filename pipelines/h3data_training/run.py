@@ -143,7 +143,7 @@ class _Run:
     def go(self, stop: threading.Event, stop_after: float | None, checkpoint_s: float) -> Result:
         limit = float("inf") if stop_after is None else stop_after * 60 - SPARE_S / 2
         saved = said = time.monotonic()
-        while self.share < 1 and self.elapsed() < limit and not stop.is_set():
+        while (self.share < 1 or not self.curve) and self.elapsed() < limit and not stop.is_set():
             update, start = len(self.curve), time.monotonic()
             row = self.learner.update(schedule(self.settings, self.share, update))
             size, now = self.settings.decisions_per_update, time.monotonic()

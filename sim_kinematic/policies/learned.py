@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import network as files
@@ -22,6 +23,8 @@ from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
 
 PREFIX = "weights:"
+SHIPPED = {"end_to_end": "policies/end_to_end.npz"}
+"""Trained policies that come with the package, by name (docs/training.md)."""
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 
 Floats = NDArray[np.floating]
@@ -29,8 +32,8 @@ Floats = NDArray[np.floating]
 
 # --- names --------------------------------------------------------------------------------------------------------------
 def is_learned(policy: str) -> bool:
-    """Whether the name of a policy means a file of weights."""
-    return policy.startswith(PREFIX)
+    """Whether the name of a policy means a file of weights: ``weights:FILE``, or one of `SHIPPED`."""
+    return policy.startswith(PREFIX) or policy in SHIPPED
 
 
 def stamped(policy: str) -> str:
@@ -41,7 +44,7 @@ def stamped(policy: str) -> str:
     Raises:
         InputError: there is no such file, it is none, or it is another than the name says.
     """
-    if not is_learned(policy):
+    if not policy.startswith(PREFIX):
         return policy
     network = network_of(policy)
     found = _STAMP.match(policy)
@@ -49,12 +52,12 @@ def stamped(policy: str) -> str:
 
 
 def network_of(policy: str) -> Network | PicturedNetwork:
-    """The network that ``weights:FILE`` or ``weights:FILE@digest`` names.
+    """The network that ``weights:FILE``, ``weights:FILE@digest`` or a name of `SHIPPED` means.
 
     Raises:
         InputError: there is no such file, it is none, or it is another than the name says.
     """
-    name = policy.removeprefix(PREFIX)
+    name = str(builtin_path(SHIPPED[policy])) if policy in SHIPPED else policy.removeprefix(PREFIX)
     found = _STAMP.match(name)
     if not name:
         raise InputError("Expected the path of a file of weights, as weights:FILE.")

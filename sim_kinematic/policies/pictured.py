@@ -1,7 +1,8 @@
 """A recurrent network that sees: pictures and numbers in, a base velocity out, in a file of plain arrays.
 
-``depth -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``. It is evaluated with
-NumPy: worker processes fork, which PyTorch's threads do not survive, and one small picture takes less than a millisecond.
+``depth -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``. It is evaluated by one
+small kernel, in a millisecond: sums in a fixed order give the same bits in every process, which neither PyTorch nor NumPy's
+BLAS does, whose order depends on the number of threads, and threads for so little work cost more than the work.
 `h3data_training.networks` is the same in PyTorch; tests/training/test_policy_files.py compares the two.
 
 The file is an npz of float32 arrays and one JSON text. Nothing in it is executed when it is read: no pickle, no code.
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
+from h3data.kernels import kernel
 
 FILE_FORMAT = "h3data.policy/1"
 PATCH = 4
@@ -119,16 +121,27 @@ class PicturedNetwork:
         Raises:
             InputError: an observation is missing or has another shape.
         """
-        numbers, a = self._numbers(shown, last), self.arrays
+        numbers = self._numbers(shown, last)
         x = np.concatenate([self._picture(shown["arm_depth"]), numbers]) if self.sees else numbers
-        given = a["gru.weight_ih"] @ x + a["gru.bias_ih"]
-        kept = a["gru.weight_hh"] @ state + a["gru.bias_hh"]
+        given, kept = self._layer("gru", x, "_ih"), self._layer("gru", state, "_hh")
         (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(kept, 3)
         reset, update = _sigmoid(r + kr), _sigmoid(z + kz)
         state = (1 - update) * np.tanh(n + reset * kn) + update * state
-        hidden = a["act_0.weight"] @ np.concatenate([state, numbers]) + a["act_0.bias"]
+        hidden = self._layer("act_0", np.concatenate([state, numbers]))
         hidden = np.where(hidden > 0, hidden, np.expm1(np.minimum(hidden, 0)))
-        return (a["act_1.weight"] @ hidden + a["act_1.bias"]).astype(np.float32), state.astype(np.float32)
+        return self._layer("act_1", hidden), state.astype(np.float32)
+
+    @cached_property
+    def _columns(self) -> dict[str, Floats]:
+        """The weights by name, [in, out]."""
+        rows = {n: a.reshape(len(a), -1) for n, a in self.arrays.items() if ".weight" in n}
+        return {n: np.ascontiguousarray(a.T, np.float32) for n, a in rows.items()}
+
+    def _layer(self, name: str, x: Floats, kind: str = "") -> Floats:
+        """Outputs [out] or [n, out] of a linear layer for inputs [in] or [n, in]."""
+        rows = np.ascontiguousarray(np.atleast_2d(x), np.float32)
+        out = _affine(rows, self._columns[f"{name}.weight{kind}"], self.arrays[f"{name}.bias{kind}"].astype(np.float32))
+        return out if x.ndim == 2 else out[0]
 
     def _numbers(self, shown: Mapping[str, NDArray[Any]], last: Floats) -> Floats:
         parts = []
@@ -152,19 +165,35 @@ class PicturedNetwork:
         x = near.reshape(height // PATCH, PATCH, width // PATCH, PATCH).transpose(1, 3, 0, 2)
         x = x.reshape(PATCH * PATCH, height // PATCH, width // PATCH)
         for k, stride in enumerate(STRIDES):
-            x = _convolved(x, self.arrays[f"conv_{k}.weight"], self.arrays[f"conv_{k}.bias"], stride)
-        return np.maximum(self.arrays["picture.weight"] @ x.ravel() + self.arrays["picture.bias"], 0)
+            seen, shape = _windows(x, stride)
+            x = np.maximum(self._layer(f"conv_{k}", seen), 0).T.reshape(-1, *shape)
+        return np.maximum(self._layer("picture", x.ravel()), 0)
 
 
 def _sigmoid(x: Floats) -> Floats:
     return 0.5 * (np.tanh(0.5 * x) + 1)
 
 
-def _convolved(x: Floats, weight: Floats, bias: Floats, stride: int) -> Floats:
-    """ReLU of a 3 x 3 convolution of [in, H, W] with a margin of zeros, [out, H', W']."""
+def _windows(x: Floats, stride: int) -> tuple[Floats, tuple[int, int]]:
+    """What each place of a 3 x 3 convolution sees of [in, H, W] with a margin of zeros, [H' W', 9 in]; and H', W'."""
     padded = np.pad(x, ((0, 0), (1, 1), (1, 1)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::stride, ::stride]
-    return np.maximum(np.tensordot(weight, windows, ([1, 2, 3], [0, 3, 4])) + bias[:, None, None], 0)
+    _, height, width, _, _ = windows.shape
+    return windows.transpose(1, 2, 0, 3, 4).reshape(height * width, -1), (height, width)
+
+
+@kernel()
+def _affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
+    """``x @ columns + bias`` for [n, in], [in, out], [out], in float32; every sum in the order of the inputs."""
+    out = np.empty((len(x), len(bias)), np.float32)
+    for row in range(len(x)):
+        out[row] = bias
+        for k in range(x.shape[1]):
+            factor = x[row, k]
+            if factor != 0:  # half of what comes out of a rectifier
+                for column in range(len(bias)):
+                    out[row, column] += factor * columns[k, column]
+    return out
 
 
 def number_count(observations: tuple[str, ...]) -> int:

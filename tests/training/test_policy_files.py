@@ -17,6 +17,7 @@ from h3data_training.episodes import make_bank, rules
 from h3data_training.networks import ActorCritic, actor_numbers, picture
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies import pictured
 from sim_kinematic.policies.learned import PicturedNavigation, navigation_of, network_of
 from sim_kinematic.policies.learned_chooser import learned_chooser
 from sim_kinematic.policies.pictured import FILE_FORMAT, PicturedNetwork, PolicyCard, save_pictured
@@ -58,6 +59,17 @@ def test_it_gives_what_pytorch_gives() -> None:
         np.testing.assert_allclose(out, mean[0].numpy(), atol=2e-6)
         np.testing.assert_allclose(kept, state[0].numpy(), atol=2e-6)
         last = mean.clamp(-1, 1)
+
+
+def test_its_sums_do_not_depend_on_how_many_are_made_at_once() -> None:
+    """BLAS adds in another order with other threads; the same picture must give the same action in every process."""
+    rng = np.random.default_rng(0)
+    x, columns, bias = (rng.normal(size=s).astype(np.float32) for s in ((7, 40), (40, 9), (9,)))
+    x[x < 0] = 0
+    together = pictured._affine(x, columns, bias)
+    apart = np.concatenate([pictured._affine(x[k : k + 1], columns, bias) for k in range(len(x))])
+    np.testing.assert_array_equal(together, apart)
+    np.testing.assert_allclose(together, x.astype(float) @ columns + bias, rtol=1e-5, atol=1e-5)
 
 
 def test_rolling_resets_where_episodes_begin() -> None:

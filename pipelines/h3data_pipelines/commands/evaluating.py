@@ -40,7 +40,8 @@ class Evaluate:
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: str = ALL
     """Robots, separated by commas. social_nav: heuristic_expert, plain_expert, sampling_expert, future_oracle,
-    learned_follower, random, stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object, still; or all."""
+    learned_follower, end_to_end, random, stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object,
+    still; or all."""
     partners: str = ALL
     """rearrange: policies of the person, as --partner of h3data generate, separated by commas: plan_pop_1 to plan_pop_4,
     both, object_1, object_2, still; or all."""

@@ -107,8 +107,8 @@ class Generate:
     """Number of different homes of a preset that the episodes go round."""
     policy: str | None = None
     """Robot policy. social_nav: heuristic_expert (default), plain_expert, sampling_expert, future_oracle (knows their walk),
-    learned_follower, random or stand_still; rearrange: complement (default), greedy_nearest, same_object, still, or solo
-    (there is no robot). Both: weights:FILE, a learned one (docs/learned-policies.md)."""
+    learned_follower, end_to_end (sees by cameras), random or stand_still; rearrange: complement (default), greedy_nearest,
+    same_object, still, or solo (there is no robot). Both: weights:FILE, a learned one (docs/learned-policies.md)."""
     partner: str | None = None
     """rearrange: policy of the person: both (default), object_1, object_2, still; or plan_pop_1 to plan_pop_4, populations
     of which each episode samples one."""

@@ -41,7 +41,7 @@ class ReplayCommand:
     """Keep people on their recorded tracks; robots follow --policy, from --resume-from or from the start."""
     policy: str | None = None
     """Robot policy, as for h3data generate, or weights:FILE (default: the recording's own). social_nav: heuristic_expert,
-    plain_expert, sampling_expert, future_oracle, learned_follower, random or stand_still; rearrange: complement,
+    plain_expert, sampling_expert, future_oracle, learned_follower, end_to_end, random or stand_still; rearrange: complement,
     greedy_nearest, same_object or still."""
     partner: str | None = None
     """rearrange: policy of the person, as for h3data generate (default: the recording's own)."""

@@ -229,6 +229,15 @@ def test_the_weights_that_come_with_the_package_find_and_follow() -> None:
     assert verify(recording).equal
 
 
+def test_the_trained_robot_that_comes_with_the_package_finds_by_sight() -> None:
+    home = h3data.build_home(h3data.HomeSpec(preset="small", seed=7))
+    world = social_nav_episode(home, seed=2, spec=SocialNavSpec(max_steps=300, spawn_distance_m=3.0))
+    recording = simulate_social_nav(world, policy="end_to_end")
+    assert recording.episode.info["policy"] == "end_to_end"
+    assert any(event.kind == "found" for event in recording.events)
+    assert verify(recording).equal
+
+
 def test_a_name_can_mean_these_very_weights(weights: Path) -> None:
     name = stamped(f"weights:{weights}")
     assert name == f"weights:{weights}@{small_network().digest[:12]}"

@@ -1,0 +1,49 @@
+"""Learning curves of runs of ``h3data train``, one line a run: docs/pictures/training.png.
+
+python examples/training_picture.py OUT.png out/nav/0 out/nav/1 out/nav/2
+"""
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from h3data_training.run import curve_of
+
+PANELS = {
+    "follows": "share of steps in which the robot follows",
+    "collided": "share of ended episodes that ended in contact",
+}
+COLORS = ((180, 119, 31), (14, 127, 255), (44, 160, 44))
+WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 720, 420, 60, 50, 50
+SMOOTH = 9  # updates
+
+out, runs = Path(sys.argv[1]), [curve_of(Path(folder)) for folder in sys.argv[2:]]
+last = max(row["decisions"] for run in runs for row in run)
+
+
+def write(panel: np.ndarray, text: str, x: int, y: int) -> None:
+    cv2.putText(panel, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (40, 40, 40), 1, cv2.LINE_AA)
+
+
+def drawn(name: str, title: str) -> np.ndarray:
+    panel = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    wide, high = WIDTH - LEFT - 30, HEIGHT - TOP - BOTTOM
+    for share in np.linspace(0, 1, 6):
+        y = int(TOP + high * (1 - share))
+        cv2.line(panel, (LEFT, y), (LEFT + wide, y), (225, 225, 225), 1)
+        write(panel, f"{share:.1f}", 20, y + 5)
+        write(panel, f"{share * last / 1e6:.0f}", int(LEFT + wide * share) - 10, HEIGHT - 28)
+    for k, run in enumerate(runs):
+        values = np.array([row[name] for row in run])
+        values = np.convolve(np.pad(values, SMOOTH // 2, mode="edge"), np.ones(SMOOTH) / SMOOTH, mode="valid")
+        x = LEFT + wide * np.array([row["decisions"] for row in run]) / last
+        points = np.stack([x, TOP + high * (1 - values)], 1)
+        cv2.polylines(panel, [np.rint(points * 16).astype(np.int32)], False, COLORS[k % 3], 2, cv2.LINE_AA, shift=4)
+    write(panel, title, LEFT, 30)
+    write(panel, "millions of decisions", WIDTH // 2 - 80, HEIGHT - 8)
+    return panel
+
+
+cv2.imwrite(str(out), np.hstack([drawn(name, title) for name, title in PANELS.items()]))
