@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from h3data.errors import H3DataError, InputError, MissingExtraError
+from h3data.progress import QUIET
 from h3data_pipelines.cli import main
 from h3data_pipelines.execution import ray_cluster, ray_worker
 from h3data_pipelines.execution.executors import check_workers, opened
@@ -88,6 +89,13 @@ def test_a_shard_is_hardly_to_blame_for_the_death_of_its_node() -> None:
 
 
 # --- what a worker of Ray does, in this process -----------------------------------------------------------------------
+@pytest.fixture
+def in_a_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers silence progress for as long as their process lives; this one goes on with other tests."""
+    monkeypatch.setenv(QUIET, "1")
+
+
+@pytest.mark.usefixtures("in_a_worker")
 def test_a_worker_carries_out_and_says_what_was_raised() -> None:
     here = Origin.of_this_process().to_json()
     kind, answer = portable_task()(here, pickle.dumps((square, 7)))
@@ -108,6 +116,7 @@ def odd(number: int) -> int:
     raise Odd(number, number)
 
 
+@pytest.mark.usefixtures("in_a_worker")
 def test_errors_that_cannot_travel_arrive_as_text() -> None:
     _, answer = carry_out(Origin.of_this_process().to_json(), pickle.dumps((odd, 7)))
     error = pickle.loads(answer)
@@ -115,6 +124,7 @@ def test_errors_that_cannot_travel_arrive_as_text() -> None:
     assert str(error) == "Odd: 7 and 7"
 
 
+@pytest.mark.usefixtures("in_a_worker")
 def test_workers_that_would_give_other_bytes_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     here, payload = Origin.of_this_process(), pickle.dumps((square, 7))
     for other, said in (

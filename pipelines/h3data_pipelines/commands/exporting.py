@@ -33,12 +33,12 @@ from h3data_pipelines.hub.provenance import command_line, read_commands, write_c
 
 @dataclass(frozen=True)
 class Export:
-    """Write recordings as files of other programs; docs/export.md says what each format keeps.
+    """Write recordings as files of other programs.
 
-    gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it. gltf: one animated .glb for three.js and
-    Blender. foxglove: a .foxglove.mcap of standard messages for Foxglove and Lichtblick. csv: a folder of tables and NumPy
-    arrays. lerobot and robomimic: demonstrations to learn from, of one or many recordings.
-    habitat-episodes: rearrangement as habitat-lab's episodes, with their scenes.
+    docs/export.md says what each format keeps. gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it.
+    gltf: one animated .glb for three.js and Blender. foxglove: a .foxglove.mcap of standard messages for Foxglove and
+    Lichtblick. csv: a folder of tables and NumPy arrays. lerobot and robomimic: demonstrations to learn from, of one or
+    many recordings. habitat-episodes: rearrangement as habitat-lab's episodes, with their scenes.
 
     Examples:
         h3data export out/demo/episode.mcap --to gfx-replay -o episode.gfx_replay.json.gz

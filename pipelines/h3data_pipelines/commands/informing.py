@@ -23,8 +23,10 @@ EPISODE_ENDINGS = (".json.gz", ".json", ".pickle")
 
 @dataclass(frozen=True)
 class Info:
-    """Show what recordings and datasets hold: task, scene, agents, steps, columns; and what episode files hold: tasks,
-    scenes, objects, receptacles, distances.
+    """Show what recordings, datasets and episode files hold.
+
+    Of recordings and datasets: task, scene, agents, steps, columns. Of episode files: tasks, scenes, objects, receptacles,
+    distances.
 
     Examples:
         h3data info out/demo/episode.mcap

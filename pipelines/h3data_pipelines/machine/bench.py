@@ -49,8 +49,10 @@ NOTES = (
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure steps per second by the paper's protocol: 300 steps of random actions, the first 10 not timed, with a depth
-    image for each agent, on CPU or GPU. Lists are separated by commas; "all" means every value.
+    """Measure steps per second by the paper's protocol, on CPU or GPU.
+
+    300 steps of random actions, the first 10 not timed, with a depth image for each agent. Lists are separated by commas;
+    "all" means every value.
 
     Examples:
         h3data bench sim
