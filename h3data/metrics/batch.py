@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, TypeVar
 
 from h3data.errors import InputError
 from h3data.metrics.episode import EpisodeMetrics
@@ -46,8 +46,9 @@ class Part:
     """Whose part it is: datasets stay open within a job."""
 
 
-Spread = Callable[[Callable[[Part], "list[Measured]"], Sequence[Part]], Iterable["list[Measured]"]]
-"""Applies a function to parts, anywhere, and gives its results in their order."""
+F = TypeVar("F")
+Spread = Callable[[Callable[[Part], F], Sequence[Part]], Iterable[F]]
+"""Applies a function to parts, anywhere, and gives its results in their order; `map` does it here."""
 Measured = EpisodeMetrics | tuple[str, str, str]
 """Metrics without the functions that compute them, or name, message and reason of an episode that is left out: all of it can
 be sent."""
@@ -67,7 +68,7 @@ def measure_files(
     profile: str | None = None,
     *,
     workers: int | None = None,
-    spread: Spread | None = None,
+    spread: Spread[list[Measured]] | None = None,
 ) -> MetricsTable:
     """Returns the metrics of every recording in MCAP logs, datasets, and folders of these, which are walked.
 
@@ -92,7 +93,7 @@ def measure_tables(
     profile: str | None = None,
     *,
     workers: int | None = None,
-    spread: Spread | None = None,
+    spread: Spread[list[Measured]] | None = None,
 ) -> tuple[MetricsTable, ...]:
     """As `measure_files`, with a table for each task whose metrics differ; the first lists what is left out of all."""
     rows, left_out = _measured(paths, profile, workers, spread)
@@ -110,7 +111,7 @@ def measure_sources(
     profile: str | None = None,
     *,
     workers: int | None = None,
-    spread: Spread | None = None,
+    spread: Spread[list[Measured]] | None = None,
 ) -> Iterator[EpisodeMetrics | LeftOut]:
     """Yields the metrics of each episode of datasets and logs in order, or why there are none.
 
@@ -148,15 +149,23 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
 
 def measure_part(part: Part, profile: str | None) -> list[Measured]:
     """What `measure_sources` gives of a part, as it can be sent."""
-    if part.episodes is None:
-        return [_sendable(_attempt(str(part.source), only(part.source), profile))]
-    dataset = _opened(part.source, part.job)
     measured: list[Measured] = []
+    for index, recording in part_recordings(part, profile):
+        name = str(part.source) if part.episodes is None else f"{part.source}#{index}"
+        each = _attempt(name, recording, profile)
+        measured.append(sendable(each) if isinstance(each, EpisodeMetrics) else _told(each))
+    return measured
+
+
+def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording]]:
+    """The episodes of a part by their numbers, from a dataset with no more than the profile reads."""
+    if part.episodes is None:
+        yield 0, only(part.source)
+        return
+    dataset = _opened(part.source, part.job)
     for start in range(part.episodes.start, part.episodes.stop, _CHUNK):
         chunk = range(start, min(start + _CHUNK, part.episodes.stop))
-        for index, recording in zip(chunk, _read(dataset, chunk, profile), strict=True):
-            measured.append(_sendable(_attempt(f"{part.source}#{index}", recording, profile)))
-    return measured
+        yield from zip(chunk, _read(dataset, chunk, profile), strict=True)
 
 
 def lost_part(part: Part, fault: Exception) -> list[Measured]:
@@ -170,10 +179,13 @@ def _opened(source: AnyPath, job: str) -> Dataset:
     return Dataset(source)
 
 
-def _sendable(measured: EpisodeMetrics | LeftOut) -> Measured:
-    if isinstance(measured, LeftOut):
-        return measured.name, str(measured.error), measured.error.reason
+def sendable(measured: EpisodeMetrics) -> EpisodeMetrics:
+    """Metrics without the functions that compute them."""
     return replace(measured, metrics=_described(measured.metrics))
+
+
+def _told(left_out: LeftOut) -> tuple[str, str, str]:
+    return left_out.name, str(left_out.error), left_out.error.reason
 
 
 @lru_cache(maxsize=64)
@@ -201,7 +213,7 @@ def _measured(
     paths: Iterable[str | os.PathLike[str] | RemotePath],
     profile: str | None,
     workers: int | None,
-    spread: Spread | None = None,
+    spread: Spread[list[Measured]] | None = None,
 ) -> tuple[list[EpisodeMetrics], list[LeftOut]]:
     sources = list(find_sources(paths))
     if not sources:

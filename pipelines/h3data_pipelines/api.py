@@ -125,6 +125,8 @@ def report(
     zsc: Sequence[str] = (),
     study_model: Literal["auto", "poisson", "observation"] = "auto",
     failed: Literal["leave-out", "limit"] = "leave-out",
+    workers: int = 1,
+    executor: str = "local",
     force: bool = False,
 ) -> Report:
     """Writes a self-contained HTML report on datasets and recordings; options as of ``h3data report``.

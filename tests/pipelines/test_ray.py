@@ -163,6 +163,8 @@ def test_jobs_that_read_give_the_same(nodes: Any, tmp_path: Path, capsys: pytest
     for words in (("metrics", ds), ("metrics", ds, "--profile", "field"), ("validate", ds)):
         assert run(capsys, *words, *by_ray) == run(capsys, *words)
     for name, how in (("local", ()), ("ray", by_ray)):
+        report = ("--out", tmp_path / name / "report.html", "--markdown", tmp_path / name / "report.md")
+        run(capsys, "report", ds, "--pictures", 1, *how, *report)
         run(capsys, "convert", ds, tmp_path / name / "logs", *how)
         some = (f"{ds}#1", f"{ds}#2", "--steps", "0:3")
         run(

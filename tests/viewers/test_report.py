@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import pickle
 import re
 import uuid
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,14 +19,17 @@ from hypothesis import strategies as st
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import measure_files
+from h3data.metrics.batch import Part
 from h3data.metrics.paper.published import published_results
 from h3data.recording import DatasetWriter, Recording, open_recording
 from h3data.recording.records import STEP_NS, Agent, Episode
 from h3data_pipelines.cli import main
+from h3data_pipelines.execution.shards import LostShardError
 from h3data_viewers.html_report.report import Report, make_report
 from h3data_viewers.html_report.report_data import gather, same_episodes
 from h3data_viewers.html_report.report_paper import social_nav_table
 from h3data_viewers.html_report.report_pictures import highlights, key_rows
+from h3data_viewers.html_report.report_reading import Found, lost_part
 from h3data_viewers.html_report.report_svg import ticks
 from h3data_viewers.html_report.report_tables import (
     Cell,
@@ -165,6 +170,26 @@ def test_the_page_holds_the_values_of_the_metrics_command(runs: dict[str, Path],
 
 def test_the_same_recordings_give_the_same_page(runs: dict[str, Path], report: Report) -> None:
     assert make_report(runs.values(), pictures=2).html == report.html
+
+
+def test_workers_elsewhere_give_the_same_page(runs: dict[str, Path], report: Report) -> None:
+    def spread(work: Callable[[Part], Found], parts: Sequence[Part]) -> Iterator[Found]:
+        for part in parts:
+            yield pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(work))(part)))
+
+    assert make_report(runs.values(), pictures=2, spread=spread).html == report.html
+
+
+def test_what_no_worker_survives_is_listed(runs: dict[str, Path]) -> None:
+    def spread(work: Callable[[Part], Found], parts: Sequence[Part]) -> Iterator[Found]:
+        yield from map(work, parts[:-1])
+        yield lost_part(parts[-1], LostShardError("its node died"))
+
+    data = gather(runs.values(), spread=spread)
+    (names,) = data.unmeasured.values()
+    assert data.unmeasured == {"its node died": names}
+    assert all(name.startswith(f"{list(runs.values())[-1].name}#") for name in names)
+    assert len(data.runs) == len(runs) - 1
 
 
 def test_key_frames_are_embedded(report: Report) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import tyro
 
 from h3data.errors import InputError
 from h3data_pipelines.command import ForceFlag, JsonFlag, LightOption, Outcome, PeopleOption, claim_file, write_text
+from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 
 if TYPE_CHECKING:
@@ -31,6 +33,7 @@ class ReportCommand:
         h3data report ds/ --markdown tables.md --pictures 0
         h3data report out/zsc --zsc plan_pop_1 --zsc plan_pop_2
         h3data report study/ --study-model observation --failed limit
+        h3data report runs/ --executor ray --workers 32
     """
 
     datasets: tyro.conf.Positional[tuple[Path, ...]]
@@ -55,13 +58,18 @@ class ReportCommand:
     """A partner of the zero-shot population, whose mean the heat maps show (repeatable; default: as the recordings say)."""
     study_model: StepsModelOption = "auto"
     failed: FailedOption = "leave-out"
+    workers: int = 1
+    """Processes, or Ray's workers, that read and measure the recordings."""
+    executor: ExecutorOption = "local"
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         from h3data.metrics import StudyModel
         from h3data_viewers.html_report.report import replay_folder, write_report
+        from h3data_viewers.html_report.report_reading import lost_part
 
+        check_workers(self.executor, self.workers)
         if not self.datasets:
             raise InputError("Expected at least one dataset or recording.")
         if self.pictures < 0:
@@ -78,12 +86,14 @@ class ReportCommand:
             raise InputError(
                 f"The folder of the replays exists. Use --force to overwrite them, or another -o: {folder}"
             )
-        report = write_report(
-            self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets, people=self.people,
-            light=self.light,
-            study=StudyModel(steps=self.study_model, failed=self.failed),
-            zsc=[name for entry in self.zsc for name in entry.split(",") if name], replays=self.replays,
-        )  # fmt: skip
+        with opened(self.executor, self.workers) as executor:
+            report = write_report(
+                self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets, people=self.people,
+                light=self.light,
+                study=StudyModel(steps=self.study_model, failed=self.failed),
+                zsc=[name for entry in self.zsc for name in entry.split(",") if name], replays=self.replays,
+                spread=partial(executor.run, lost=lost_part),
+            )  # fmt: skip
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:

@@ -20,6 +20,7 @@ from string import Template
 from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.files import part_file
 from h3data.metrics import StudyModel
+from h3data.metrics.batch import Spread
 from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.report_charts import (
     distribution_charts,
@@ -46,6 +47,7 @@ from h3data_viewers.html_report.report_pictures import (
     trajectory_figures,
 )
 from h3data_viewers.html_report.report_ranks import rank_table
+from h3data_viewers.html_report.report_reading import Found
 from h3data_viewers.html_report.report_study import key_of, studied, study_tables
 from h3data_viewers.html_report.report_tables import Table, to_html, to_latex, to_markdown
 from h3data_viewers.html_report.report_text import TASKS, beginning, episode_list, meanings, task_name
@@ -91,6 +93,7 @@ def make_report(
     zsc: Sequence[str] = (),
     more: Sequence[Table] = (),
     replays: ReplayFiles | None = None,
+    spread: Spread[Found] = map,
 ) -> Report:
     """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
@@ -98,13 +101,13 @@ def make_report(
     in `h3data.replay.Replay`; ``study`` chooses the models of
     episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population; ``more`` are
     tables of what is not in recordings, each in a section of its own; ``replays`` takes HTML replays of the episodes with key
-    frames, which link them.
+    frames, which link them; ``spread`` may have other processes or machines read and measure the recordings.
 
     Raises:
         InputError: there is no recording, or episodes that cannot share a table; see `gather`.
         FormatError: a file is damaged.
     """
-    data = gather(paths, zsc=zsc)
+    data = gather(paths, zsc=zsc, spread=spread)
     title = title or _title(data)
     missing: list[str] = []
     tables = _paper_tables(data, missing, study or StudyModel())
@@ -159,6 +162,7 @@ def write_report(
     zsc: Sequence[str] = (),
     more: Sequence[Table] = (),
     replays: bool = False,
+    spread: Spread[Found] = map,
 ) -> Report:
     """`make_report`, written to ``out``; with ``replays``, HTML replays lie in the folder `replay_folder` beside it."""
     files = ReplayFiles(replay_folder(out)) if replays else None
@@ -173,6 +177,7 @@ def write_report(
         zsc=zsc,
         more=more,
         replays=files,
+        spread=spread,
     )
     with part_file(out) as part:
         part.write_text(report.html, encoding="utf-8")

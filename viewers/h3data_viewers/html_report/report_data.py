@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError, did_you_mean
 from h3data.metrics import MetricsTable, Profile, tabulate
-from h3data.metrics.batch import recordings
+from h3data.metrics.batch import Part, Spread, parts_of
 from h3data.metrics.registry import profile_for
 from h3data.recording import Recording, open_recording
 from h3data.recording.finding import find_sources
-from h3data.recording.storage import AnyPath
-from h3data_viewers.html_report.report_episode import GRID_S, TRACK_S, ReportEpisode, Track
+from h3data_viewers.html_report.report_episode import ReportEpisode
 from h3data_viewers.html_report.report_evaluations import holds_results, result_episodes
+from h3data_viewers.html_report.report_reading import Found, Unread, read_part
 
 _FIRST = ("social_nav", "rearrange")
 """Tasks that a report begins with."""
@@ -74,11 +74,13 @@ class ReportData:
         return tuple(run for run in self.runs if run.task == task)
 
 
-def gather(paths: Iterable[str | os.PathLike[str]], *, zsc: Sequence[str] = ()) -> ReportData:
+def gather(
+    paths: Iterable[str | os.PathLike[str]], *, zsc: Sequence[str] = (), spread: Spread[Found] = map
+) -> ReportData:
     """Reads every recording of datasets, logs and folders of these, and measures each by the profile of its task.
 
     A folder of ``h3data evaluate`` without recordings gives its results. ``zsc`` names the partners of the zero-shot
-    population (default: as the recordings say).
+    population (default: as the recordings say). ``spread`` may have other processes or machines read the recordings.
 
     Raises:
         InputError: there is no recording, or a path is given twice; a partner in ``zsc`` does not occur; what `tabulate`
@@ -92,8 +94,7 @@ def gather(paths: Iterable[str | os.PathLike[str]], *, zsc: Sequence[str] = ()) 
     if twice:
         raise InputError(f"Named twice, so its episodes would count twice: {twice[0]}")
     gathered = _Gathered()
-    for place, root in enumerate(roots):
-        gathered.add(place, root)
+    gathered.add(roots, spread)
     if not gathered.count:
         raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.")
     if zsc:
@@ -115,25 +116,32 @@ class _Gathered:
         self.unmeasured: dict[str, list[str]] = {}
         self.count = 0
 
-    def add(self, place: int, root: Path) -> None:
-        """Reads what lies at one path."""
-        if holds_results(root):
-            for episode, profile in result_episodes(root):
+    def add(self, roots: Sequence[Path], spread: Spread[Found]) -> None:
+        """Reads what lies at the paths, in their order."""
+        places: list[int] = []
+        parts: list[Part] = []
+        for place, root in enumerate(roots):
+            if holds_results(root):
+                for episode, profile in result_episodes(root):
+                    self.count += 1
+                    self._group(place, root, episode, profile)
+                continue
+            of_root = parts_of(list(find_sources([root])))
+            parts += of_root
+            places += [place] * len(of_root)
+        for place, found in zip(places, spread(read_part, parts), strict=True):
+            for each in found:
                 self.count += 1
-                self._group(place, root, episode, profile)
-            return
-        for source in find_sources([root]):
-            for index, recording in enumerate(recordings([source])):
-                self.count += 1
-                try:
-                    profile = profile_for(recording.episode.task, recording.episode.info)
-                    episode = _episode(source, index, recording, profile)
-                except InputError as fault:
-                    name = f"{source.name}#{index}" if source.is_dir() else source.name
-                    self.unmeasured.setdefault(_reason(fault), []).append(name)
+                if isinstance(each, Unread):
+                    self.unmeasured.setdefault(each.reason, []).append(each.name)
                     continue
-                for each in _with_each_partner(episode, recording.episode.info):
-                    self._group(place, root, each, profile)
+                profile = profile_for(each.task, each.info)
+                by_id = {metric.id: metric for metric in profile.metrics}
+                metrics = replace(
+                    each.episode.metrics, metrics=tuple(by_id[metric.id] for metric in each.episode.metrics.metrics)
+                )
+                for episode in _with_each_partner(replace(each.episode, metrics=metrics), each.info):
+                    self._group(place, roots[place], episode, profile)
 
     def name_population(self, zsc: Sequence[str]) -> None:
         """Makes the episodes with these partners the zero-shot population."""
@@ -210,28 +218,6 @@ def read_curves(path: Path) -> dict[str, NDArray[np.float64]]:
 
 
 # --- inside -----------------------------------------------------------------------------------------------------------
-def _episode(source: AnyPath, index: int, recording: Recording, profile: Profile) -> ReportEpisode:
-    metrics = profile.measure(recording)
-    info = recording.episode.info
-    tracks = tuple(
-        Track(kind=agent.kind, xz=_sampled(recording.agent_column(i, "base_pose")[:, [0, 2]], metrics.dt_ns))
-        for i, agent in enumerate(recording.agents)
-    )
-    return ReportEpisode(
-        source=source,
-        index=index,
-        metrics=metrics,
-        seed=recording.episode.seed,
-        policy=_said(info, "policy"),
-        partner=_said(info, "partner") or _partner(recording),
-        population=_population(_said(info, "population")),
-        participant=_said(info, "participant"),
-        condition=_said(info, "condition"),
-        distance_m=_distances(recording),
-        tracks=tracks,
-    )
-
-
 def _runs(
     grouped: Mapping[tuple[int, str, str], Sequence[ReportEpisode]],
     profiles: Mapping[tuple[int, str, str], Profile],
@@ -271,40 +257,3 @@ def _one_row(parts: Sequence[Sequence[ReportEpisode]]) -> bool:
     keys = [{(e.metrics.episode_id, e.metrics.scene, e.seed, e.partner) for e in part} for part in parts]
     rules = {frozenset(e.metrics.protocol_deviations for e in part) for part in parts}
     return sum(map(len, keys)) == len(set().union(*keys)) and len(rules) == 1
-
-
-def _said(info: Mapping[str, Any], key: str) -> str:
-    value = info.get(key, "")
-    return str(value) if isinstance(value, str | int | float) else ""
-
-
-def _partner(recording: Recording) -> str:
-    human = next((a for a in recording.agents if a.kind == "human"), None)
-    return "" if human is None else human.model.rpartition("/")[2] or human.name
-
-
-def _population(text: str) -> str:
-    return next((kind for kind in ("train", "zsc") if text.lower().startswith(kind)), "")
-
-
-def _sampled(rows: NDArray[np.float32], dt_ns: int) -> NDArray[np.float32]:
-    stride = max(1, round(TRACK_S * 1e9 / dt_ns))
-    return np.concatenate([rows[::stride], rows[-1:]]).astype(np.float32)
-
-
-def _distances(recording: Recording) -> NDArray[np.float32]:
-    places = [next((i for i, a in enumerate(recording.agents) if a.kind == kind), None) for kind in ("robot", "human")]
-    if None in places or not len(recording):
-        return np.zeros(0, np.float32)
-    stride = max(1, round(GRID_S * 1e9 / recording.episode.dt_ns))
-    a, b = (recording.columns[f"agent_{i}.base_pose"][::stride, :3] for i in places)
-    return np.linalg.norm(a - b, axis=1).astype(np.float32)
-
-
-def _reason(fault: InputError) -> str:
-    """The fault without the name of the episode, so that equal ones can be counted."""
-    needs = getattr(fault, "needs", None)
-    if needs:
-        missing = sorted({column for columns in needs.values() for column in columns})
-        return f"nothing to measure: lacks {', '.join(missing)}"
-    return "needs a robot and a human" if "need a robot and a human" in str(fault) else str(fault)
