@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from h3data.recording import Dataset, Episodes, Recording
     from h3data.replay import Replay
     from h3data.scene import HomeSpec, Scene, build_home
-    from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, report, rerender, view
+    from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, report, rerender, sync, view
 
 _HOMES = {
     "make": "h3data.api",
@@ -44,6 +44,7 @@ _HOMES = {
     "push": "h3data_pipelines.api",
     "report": "h3data_pipelines.api",
     "rerender": "h3data_pipelines.api",
+    "sync": "h3data_pipelines.api",
     "view": "h3data_pipelines.api",
     "H3DataError": "h3data.errors",
     "Dataset": "h3data.recording",
@@ -79,6 +80,7 @@ __all__ = [
     "rerender",
     "session",
     "simulate",
+    "sync",
     "view",
 ]
 

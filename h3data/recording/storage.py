@@ -217,6 +217,17 @@ def open_binary(path: AnyPath) -> IO[bytes] | pa.NativeFile:
     return path.open_input() if isinstance(path, RemotePath) else open(path, "rb")
 
 
+def sizes_below(folder: AnyPath) -> dict[str, int]:
+    """Sizes [B] of all files below a folder by their paths relative to it, sorted; none if it does not exist."""
+    if isinstance(folder, Path):
+        paths = sorted(path for path in folder.rglob("*") if path.is_file())
+        return {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
+    selector = pafs.FileSelector(folder.key, recursive=True, allow_not_found=True)
+    found = folder.filesystem.get_file_info(selector)
+    sizes = {info.path[len(folder.key) :].strip("/"): info.size for info in found if info.type == pafs.FileType.File}
+    return dict(sorted(sizes.items()))
+
+
 def remove_tree(folder: AnyPath) -> None:
     """Deletes a folder and everything in it, if it exists."""
     if not folder.exists():

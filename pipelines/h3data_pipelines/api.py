@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
+from h3data.recording.storage import RemotePath
 from h3data.render.light.sources import LightMode
 from h3data_pipelines.command import Command, WalkOption
 
@@ -295,6 +296,21 @@ def pull(repo: str, out: AnyPath, *, revision: str = "main", force: bool = False
     from h3data_pipelines.hub.pulling import Pull
 
     return _result(Pull, locals())
+
+
+def sync(source: AnyPath, target: AnyPath, *, quick: bool = False, force: bool = False) -> Path | RemotePath:
+    """Copies a dataset to another folder or object store, or what is new in it; options as of ``h3data sync``.
+
+    Returns:
+        Where the copy is.
+
+    Raises:
+        InputError: the source is no dataset, or the target holds anything but a copy of it.
+        FormatError: a file arrived otherwise than it was sent.
+    """
+    from h3data_pipelines.hub.syncing import Sync
+
+    return _result(Sync, locals())
 
 
 def _result(command: type[Command], options: dict[str, Any], *, several: tuple[str, ...] = ()) -> Any:

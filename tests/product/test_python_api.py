@@ -27,6 +27,7 @@ from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.hub.card import Card
 from h3data_pipelines.hub.pulling import Pull
 from h3data_pipelines.hub.pushing import Push
+from h3data_pipelines.hub.syncing import Sync
 from h3data_pipelines.options import options_of
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
@@ -43,6 +44,7 @@ COMMANDS: list[tuple[Callable[..., Any], type[Command]]] = [
     (api.card, Card),
     (api.push, Push),
     (api.pull, Pull),
+    (api.sync, Sync),
 ]
 
 

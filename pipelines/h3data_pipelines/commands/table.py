@@ -23,6 +23,7 @@ from h3data_pipelines.commands.validating import Validate
 from h3data_pipelines.hub.card import Card
 from h3data_pipelines.hub.pulling import Pull
 from h3data_pipelines.hub.pushing import Push
+from h3data_pipelines.hub.syncing import Sync
 from h3data_pipelines.learning.training import Train
 from h3data_pipelines.machine.bench import Bench
 from h3data_pipelines.machine.completion import Completion
@@ -58,6 +59,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "card": Card,
     "push": Push,
     "pull": Pull,
+    "sync": Sync,
     "validate": Validate,
     "recover": Recover,
     "doctor": Doctor,
