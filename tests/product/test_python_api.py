@@ -166,6 +166,7 @@ def test_the_specification_makes_the_environment_again() -> None:
     import gymnasium
 
     env = h3data.make("social_nav", "small:1")
+    assert env.spec is not None
     assert env.spec.id == "h3data/SocialNav-v0"
     assert repr(gymnasium.make(env.spec).unwrapped) == repr(env)
 
