@@ -1,6 +1,6 @@
 """What the product computes, as digests: recordings, environments, replays, metrics, exports, pictures.
 
-    python tests/fingerprints.py                        compare everything with tests/data/fingerprints.json
+    python tests/fingerprints.py                        compare everything with tests/data/fingerprints/
     python tests/fingerprints.py NAME...                only the cases whose names contain one of these words
     python tests/fingerprints.py --renew [NAME...]      compute again and store
     python tests/fingerprints.py --list                 names of all cases
@@ -9,8 +9,10 @@
 A case has groups (one recording, one profile of metrics, one environment), a group has parts (one column, one metric, one
 observation), and every part has its own digest, so a difference is named by case, group and part.
 
-Floating-point results differ between types of CPU and versions of libraries. `stamp` says on which arithmetic the digests
-were stored; elsewhere they mean nothing. There, store those of the commit before a change and compare the change with them:
+Floating-point results differ between types of CPU and versions of libraries. There is a file for each type of CPU, and its
+`stamp` says on which arithmetic it was stored. A case that moved when it was renewed on one type is taken out of the files of
+the others, to be computed there. On an arithmetic that no file has, store the digests of the commit before a change and compare
+the change with them:
 
     git checkout BEFORE && python tests/fingerprints.py --renew --file /tmp/before.json
     git checkout AFTER && python tests/fingerprints.py --file /tmp/before.json
@@ -70,7 +72,8 @@ def simulated(task: str, home: Any, *, seed: int, rules: Any) -> Any:
 
 # --- end of the adapter -------------------------------------------------------------------------------------------------
 
-FILE = Path(__file__).parent / "data" / "fingerprints.json"
+FOLDER = Path(__file__).parent / "data" / "fingerprints"
+"""A file for each type of CPU, named after its `vectors`."""
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 """Real Habitat files, as of the fixture ``real``."""
 DIGITS = 12
@@ -288,11 +291,9 @@ PACKAGES = (
 def stamp() -> dict[str, str]:
     """What bits depend on: elementary functions as numpy and compiled kernels compute them here, and versions."""
     import shapely
-    from llvmlite import binding
 
-    simd = [name for name in ("avx2", "fma", "avx512f", "neon", "sve") if binding.get_host_cpu_features().get(name)]
     found = {"functions of numpy": digest(_by_numpy()), "functions of numba": digest(_by_numba())}
-    found["vectors"] = " ".join(simd)  # the rasteriser is written for them
+    found["vectors"] = vectors()  # the rasteriser is written for them
     for package in PACKAGES:
         try:
             found[package] = ".".join(importlib.metadata.version(package).split("+")[0].split(".")[:2])
@@ -300,6 +301,14 @@ def stamp() -> dict[str, str]:
             found[package] = "absent"
     found["GEOS"] = ".".join(map(str, shapely.geos_version[:2]))
     return found
+
+
+def vectors() -> str:
+    """The vector instructions of this CPU that change bits."""
+    from llvmlite import binding
+
+    has = binding.get_host_cpu_features()
+    return " ".join(name for name in ("avx2", "fma", "avx512f", "neon", "sve") if has.get(name))
 
 
 @functools.cache
@@ -911,12 +920,17 @@ def differences(stored: Digests, found: Digests) -> list[str]:
     return lines
 
 
-def read(file: Path = FILE) -> dict[str, Any]:
+def file_here() -> Path:
+    """Where the digests of this type of CPU are stored."""
+    return FOLDER / f"{vectors().replace(' ', '-') or 'plain'}.json"
+
+
+def read(file: Path) -> dict[str, Any]:
     """``stamp``, ``torch`` and ``cases``, as stored."""
     return json.loads(file.read_text()) if file.exists() else {"stamp": {}, "torch": "", "cases": {}}
 
 
-def write(stored: Mapping[str, Any], file: Path = FILE) -> None:
+def write(stored: Mapping[str, Any], file: Path) -> None:
     """A line for each group, so that a change of the file shows what moved."""
     cases = []
     for name in sorted(stored["cases"]):
@@ -924,6 +938,18 @@ def write(stored: Mapping[str, Any], file: Path = FILE) -> None:
         cases.append(f" {json.dumps(name)}: {{\n" + ",\n".join(groups) + "\n }")
     head = f'"stamp": {json.dumps(stored["stamp"], indent=1)},\n"torch": {json.dumps(stored["torch"])}'
     file.write_text(f'{{\n{head},\n"cases": {{\n' + ",\n".join(cases) + "\n}\n}\n")
+
+
+def forget(names: Sequence[str], *, but: Path) -> None:
+    """Takes cases out of the files of other types of CPU: their digests there are of what was computed before."""
+    for file in sorted(set(FOLDER.glob("*.json")) - {but}):
+        stored = read(file)
+        kept = {name: groups for name, groups in stored["cases"].items() if name not in names}
+        if len(kept) < len(stored["cases"]):
+            print(
+                f"{len(stored['cases']) - len(kept)} cases that moved are no longer in {file.name}: renew them there."
+            )
+            write({**stored, "cases": kept}, file)
 
 
 def elsewhere(stored: Mapping[str, Any], *, torch: bool = False) -> str:
@@ -945,7 +971,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("names", nargs="*", help="only cases whose names contain one of these")
     parser.add_argument("--renew", action="store_true", help="store instead of compare")
     parser.add_argument("--list", action="store_true", help="list the cases")
-    parser.add_argument("--file", type=Path, default=FILE, help="the stored digests")
+    parser.add_argument("--file", type=Path, help="the stored digests, by default those of this type of CPU")
     parser.add_argument("--keep", type=Path, help="a folder for the values")
     options = parser.parse_args(arguments)
     os.environ.pop("H3DATA_ASSETS", None)
@@ -954,14 +980,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\n".join(f"{case.name}{'  (quick)' if case.quick else ''}" for case in chosen))
         return 0
     print(f"sources: {Path(h3data.__file__).parents[1]}", file=sys.stderr)
-    stored = read(options.file)
+    file = options.file or file_here()
+    stored = read(file)
     other = elsewhere(stored)
     if other and stored["cases"] and not (options.renew and not options.names):
         print(f"The stored digests are of another arithmetic: {other}", file=sys.stderr)
         if options.renew:
             print("Renew all of them.", file=sys.stderr)
             return 1
-    failed = 0
+    moved: list[str] = []
     for case in chosen:
         began = time.perf_counter()
         why = case.missing()
@@ -972,17 +999,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         took = f"{time.perf_counter() - began:.1f} s"
         if options.renew:
             lines = differences(stored["cases"].get(case.name, {}), found)
+            moved += [case.name] if lines and case.name in stored["cases"] else []
             stored["cases"][case.name] = found
             stored["stamp"], stored["torch"] = stamp(), torch_stamp()
-            write(stored, options.file)
+            write(stored, file)
         else:
             lines = differences(stored["cases"][case.name], found) if case.name in stored["cases"] else ["not stored"]
-            failed += bool(lines)
+            moved += [case.name] if lines else []
         print("\n    ".join([f"{'different' if lines else 'equal':<10} {case.name} ({took})", *lines[:20]]), flush=True)
     if options.renew:
         stored["cases"] = {name: groups for name, groups in stored["cases"].items() if name in CASES}
-        write(stored, options.file)
-    return int(failed > 0)
+        write(stored, file)
+        if file.parent == FOLDER:
+            forget(moved, but=file)
+        return 0
+    return int(bool(moved))
 
 
 if __name__ == "__main__":
