@@ -28,6 +28,8 @@ Policy = Callable[[SocialNavView, BaseSpec], Velocity]
 
 KEEP_DISTANCE_M = 1.5
 """The expert approaches when farther than this and backs away when nearer (paper section 4.1)."""
+SLACK_M = 0.1
+"""Within so much beyond that distance, the expert does not approach a person who comes nearer."""
 STEER_STEPS = 8
 """So far ahead the experts look for the best way to drive,"""
 ESCAPE_STEPS = 30
@@ -82,11 +84,28 @@ def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """The paper's expert: shortest path to the person when farther than 1.5 m, back away from them inside.
 
     Its code was never published (spec/habitat.md 1.8). It approaches in the way, forwards or backwards, that shortens the
-    path most, and restores 1.5 m at the smallest speed that does. Where the person would walk into it, it backs away in the
-    bend that leaves most room. Of the person it knows where they are and were a step ago.
+    path most, and restores 1.5 m at the smallest speed that does; before somebody who comes nearer it goes back as fast as
+    they come. Where the person would walk into it, it backs away in the bend that leaves most room. Of the person it knows
+    where they are and were a step ago.
     """
-    gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
+    step_m, receding = spec.max_speed_mps * STEP_S, _receding(view)
+    gap_m = view.geodesic_m + receding - KEEP_DISTANCE_M
+    if receding < 0 < gap_m < SLACK_M:
+        return _back_up(view, spec, receding / step_m, hurries=False)
+    gap = gap_m / step_m
     return _approach(view, spec, view.human_xz, gap) if gap > 0 else _back_up(view, spec, gap)
+
+
+def _receding(view: SocialNavView) -> float:
+    """By how much the person goes away from the robot in this step [m], if they go on as in the last one: without, a robot
+    before somebody who walks at it backs away and comes back every other step."""
+    if view.human_before is None or view.geodesic_m > REACH_M:
+        return 0.0
+    (away_x, away_z), (step_x, step_z) = (
+        (view.human_xz - view.robot_xz).tolist(),
+        (view.human_xz - view.human_before).tolist(),
+    )
+    return (away_x * step_x + away_z * step_z) / max(math.hypot(away_x, away_z), 1e-9)
 
 
 def plain_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
@@ -114,21 +133,23 @@ def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], ga
         return Velocity(0.0, 0.0, "wait")
     error, turn = _steer(view, next_waypoint(view._replace(human_xz=goal), spec), spec)
     commands = np.concatenate([np.array([(1.0, turn, _steps_to_turn(error, spec), 1.0)]), _STEERING])
+    commands[:, [0, 3]] = np.clip(commands[:, [0, 3]], -gap, gap)  # tried as slowly as it will be done
     ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, look_steps=STEER_STEPS)
     left, off = _way_left(view.free, goal, ends.xz, ends.heading)
     forward, turn = commands[np.argmin(left + TURN_COST_M * off), :2].tolist()
-    return Velocity(min(gap, forward), turn, "follow" if view.met else "find")
+    return Velocity(forward, turn, "follow" if view.met else "find")
 
 
-def _back_up(view: SocialNavView, spec: BaseSpec, gap: float) -> Velocity:
-    """Away from the person, by ``gap`` steps of way (negative) where they leave the robot in peace."""
+def _back_up(view: SocialNavView, spec: BaseSpec, gap: float, *, hurries: bool = True) -> Velocity:
+    """Away from the person, by ``gap`` steps of way (negative); faster, if it hurries, where they would walk into it."""
     backward, turn, error = _straight_back(view, spec, gap)
-    straight = np.array([(backward, turn, _steps_to_turn(error, spec), 0.0)])
+    straight = np.array([(backward, turn, _steps_to_turn(error, spec), backward)])
     walk = _expected_walk(view)
     trial = partial(roll_out, view.free, spec, view.robot_xz, view.robot_heading, look_steps=ESCAPE_STEPS)
     if trial(straight, walk).gap_m[0] >= MARGIN_M:
         return Velocity(backward, turn, "back_up")
-    commands = np.concatenate([straight, _BACKING])
+    calm = _BACKING * (max(-gap, 0.0), 1.0, 1.0, max(-gap, 0.0)) if gap > -1 else _BACKING[:0]
+    commands = np.concatenate([straight, calm, _BACKING if hurries or gap <= -1 else _BACKING[:0]])
     ends = trial(commands, walk)
     dx, dz = (walk[-1] - ends.xz).T
     error = np.abs(wrap_angle(np.arctan2(-dz, dx) - ends.heading))

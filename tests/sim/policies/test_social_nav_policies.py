@@ -142,6 +142,29 @@ def test_she_comes_and_the_expert_gives_way(free: FreeSpace) -> None:
     assert heuristic_expert(comes, SPEC).forward == -1
 
 
+@pytest.mark.parametrize("speed_mps", [0.6, 1.3, 2.2])
+@pytest.mark.parametrize("aside_m", [0.0, 0.3])
+def test_who_walks_at_the_expert_makes_it_go_back_not_back_and_forth(speed_mps: float, aside_m: float) -> None:
+    free = FreeSpace.from_map(
+        build_from_walkable(box(-5, -2, 5, 2), radius_m=0.25, height_m=1.41, max_climb_m=0.2, cell_m=0.05)
+    )
+    robot, human, forward = RobotState.zeros(1), np.array([-4.0, aside_m]), []
+    robot.xz[0], robot.heading[0] = (-2.2, 0.0), np.pi
+    while human[0] < -0.5:
+        before, human = human, human + np.array([speed_mps * STEP_S, 0.0])
+        apart = float(free.geodesic(robot.xz[0], human))
+        command = heuristic_expert(
+            SocialNavView(free, robot.xz[0], robot.heading.item(0), human, apart, True, human_before=before), SPEC
+        )
+        drive_robots(robot, free, np.array([command[:2]]), SPEC)
+        assert apart > 1.4
+        forward.append(command.forward)
+    signs = np.sign(np.array(forward)[np.abs(forward) > 1e-3])
+    assert (np.diff(signs) != 0).sum() <= 3  # without heeding their last step: up to 172
+    if not aside_m:  # beside, it turns
+        assert np.mean(forward[-15:]) * SPEC.max_speed_mps == pytest.approx(-speed_mps, rel=0.15)
+
+
 def test_only_the_oracle_needs_the_future(free: FreeSpace) -> None:
     view = views(free, 2)[1]._replace(future=None)
     with pytest.raises(InputError, match="scripted"):
