@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from h3data_training.run import curve_of
+from h3data_training.curve import curve_of
 
 PANELS = {
     "follows": "share of steps in which the robot follows",

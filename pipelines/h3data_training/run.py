@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import signal
 import threading
@@ -18,6 +17,7 @@ import torch
 
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
+from h3data_training.curve import EventLog, save_curve
 from h3data_training.episodes import make_bank
 from h3data_training.ppo import Learner, schedule
 from h3data_training.settings import Settings
@@ -25,7 +25,7 @@ from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.torch.episodes import EpisodeBank
 
-CHECKPOINT, CURVE, POLICY = "checkpoint.pt", "curve.csv", "policy.npz"
+CHECKPOINT, POLICY = "checkpoint.pt", "policy.npz"
 FORMAT = "h3data.training/1"
 FREE = ("minutes", "updates")
 """Settings that may change when a run goes on: they only say how long it is."""
@@ -63,7 +63,7 @@ def train(
     updates; progress in minutes depends on the clock.
 
     Args:
-        folder: Of the run; it exists. `POLICY`, `CURVE` and `CHECKPOINT` appear there.
+        folder: Of the run; it exists. `POLICY`, `CHECKPOINT` and the learning curve (`h3data_training.curve`) appear there.
         settings: What is trained.
         seed: Everything random follows from it.
         device: ``cpu`` or ``cuda``.
@@ -88,7 +88,7 @@ def train(
         )
     if device.startswith("cuda") and not torch.cuda.is_available():
         raise InputError("There is no GPU that this torch can use. Hint: --device cpu with --recipe tiny.")
-    with _stop_asked() as stop:
+    with _stop_asked() as stop, _one_thread(device):
         try:
             return _Run(folder, settings, seed, device, kept, compile, name, bank, say, began).go(
                 stop, stop_after, checkpoint_s
@@ -122,6 +122,7 @@ class _Run:
         self.before_s = self.setups_s = 0.0
         if kept is not None:
             self._restore(kept)
+        self.events = EventLog(folder, self.curve)
         self.device = torch.cuda.get_device_name() if worlds.device.type == "cuda" else "cpu"
         self.setup_s = self.elapsed()
         self.setups_s += self.setup_s
@@ -196,10 +197,8 @@ class _Run:
             with part_file(self.folder / CHECKPOINT) as part:
                 torch.save(kept, part)
             if self.curve:
-                with part_file(self.folder / CURVE) as part, part.open("w", newline="") as stream:
-                    table = csv.DictWriter(stream, list(self.curve[0]))
-                    table.writeheader()
-                    table.writerows(self.curve)
+                save_curve(self.curve, self.folder)
+                self.events.write(self.curve)
             save_pictured(self.policy(), self.folder / POLICY)
         except (OSError, RuntimeError) as fault:  # torch reports a full disk as RuntimeError
             if is_last:
@@ -307,17 +306,17 @@ def _stop_asked() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def curve_of(folder: Path) -> list[dict[str, float]]:
-    """The learning curve of a run.
-
-    Raises:
-        InputError: there is none.
-    """
-    path = folder / CURVE
-    if not path.is_file():
-        raise InputError(f"Expected the folder of a training run, found no {CURVE}. Folder: {folder}")
-    with path.open(newline="") as stream:
-        return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(stream)]
+@contextmanager
+def _one_thread(device: str) -> Iterator[None]:
+    """On the CPU, one thread: the tensors are small, and beside other work several threads wait for each other most of the
+    time (145 decisions a second instead of 6,000)."""
+    threads = torch.get_num_threads()
+    if device == "cpu":
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def describe(settings: Settings) -> str:

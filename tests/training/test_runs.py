@@ -16,10 +16,11 @@ import torch
 from h3data.errors import FormatError, InputError
 from h3data_pipelines.cli import main
 from h3data_training import run as runs
+from h3data_training.curve import EVENTS, curve_of
 from h3data_training.episodes import make_bank
 from h3data_training.networks import ActorCritic
 from h3data_training.ppo import schedule
-from h3data_training.run import CHECKPOINT, POLICY, curve_of, train
+from h3data_training.run import CHECKPOINT, POLICY, train
 from h3data_training.settings import RECIPES, recipe
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.pictured import PicturedNetwork
@@ -62,6 +63,14 @@ def test_a_run_leaves_a_policy_and_its_curve(whole: Path) -> None:
     assert card.training["steps"] == 36 * 3
     untrained = ActorCritic(SMALL).arrays()
     assert set(untrained) == set(network.arrays)
+
+
+def test_tensorboard_reads_the_curve(whole: Path) -> None:
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    events = accumulator.EventAccumulator(str(whole / EVENTS)).Reload()
+    curve = curve_of(whole)
+    assert [event.step for event in events.Scalars("reward")] == [row["decisions"] for row in curve]
+    assert np.allclose([event.value for event in events.Scalars("reward")], [row["reward"] for row in curve])
 
 
 def test_an_interrupted_run_comes_to_the_same_weights(
@@ -139,7 +148,7 @@ def test_it_trains_without_pictures_too(bank: EpisodeBank, tmp_path: Path) -> No
     [
         ({"observations": ("smell",)}, "got smell"),
         ({"picture_size": (30, 20)}, "multiples of 4"),
-        ({"worlds": 3}, "multiples of minibatches=2"),
+        ({"worlds": 3}, "multiples of minibatches=4"),
         ({"hold": 0}, "hold of at least 1"),
         ({"minutes": 0.0}, "minutes > 0"),
     ],

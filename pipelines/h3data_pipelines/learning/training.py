@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 class Train:
     """Learn a policy from pictures, into a file of weights.
 
-    The file plays wherever a policy has a name. The folder gets policy.npz, curve.csv (the learning curve) and checkpoint.pt,
-    all renewed every half minute. Ctrl-C or SIGTERM finishes the update and saves; --resume goes on.
+    The file plays wherever a policy has a name. The folder gets policy.npz, curve.parquet (the learning curve; tensorboard/
+    too, where TensorBoard is installed) and checkpoint.pt, all renewed every half minute. Ctrl-C or SIGTERM finishes the
+    update and saves; --resume goes on.
 
     Examples:
         h3data train social_nav --recipe fast --device cuda -o out/nav
@@ -41,8 +42,8 @@ class Train:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the run."""
     recipe: Literal["fast", "tiny"] = "tiny"
-    """Settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), tiny for a CPU (8 worlds, one home,
-    32 x 24): it shows that all parts run, not a good robot."""
+    """Settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), tiny for a CPU (256
+    worlds, one home, no pictures: the robot is told where the person is)."""
     seed: int = 0
     """Everything random follows from it."""
     minutes: float | None = None
@@ -56,8 +57,8 @@ class Train:
     scenes: str | None = None
     """Homes to learn in, as of h3data generate (default: h3-homes/train, tiny its first)."""
     observations: str | None = None
-    """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps); there are
-    also egomotion, humanoid_velocity, way and range_scan."""
+    """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
+    humanoid_gps alone); there are also egomotion, humanoid_velocity, way and range_scan."""
     worlds: int | None = None
     """Worlds that are stepped at once."""
     hold: int | None = None

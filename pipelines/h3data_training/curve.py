@@ -1,0 +1,60 @@
+"""The learning curve of a run: a table in its folder, and event files that TensorBoard draws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from h3data.errors import InputError
+from h3data.files import part_file
+
+CURVE, EVENTS = "curve.parquet", "tensorboard"
+
+Row = dict[str, float]
+"""What an update came to, by name."""
+
+
+def save_curve(curve: list[Row], folder: Path) -> None:
+    """Writes the table, whole or not at all."""
+    with part_file(folder / CURVE) as part:
+        pq.write_table(pa.Table.from_pylist(curve), part)
+
+
+def curve_of(folder: Path) -> list[Row]:
+    """The learning curve of a run.
+
+    Raises:
+        InputError: there is none.
+    """
+    path = folder / CURVE
+    if not path.is_file():
+        raise InputError(f"Expected the folder of a training run, found no {CURVE}. Folder: {folder}")
+    return pq.read_table(path).to_pylist()
+
+
+class EventLog:
+    """Writes rows of the curve for TensorBoard, over decisions; writes nothing where ``tensorboard`` is not installed."""
+
+    def __init__(self, folder: Path, curve: list[Row]) -> None:
+        self._writer: Any = None
+        self._rows = len(curve)
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            return
+        last = int(curve[-1]["decisions"]) if curve else 0
+        self._writer = SummaryWriter(str(folder / EVENTS), purge_step=last + 1)
+
+    def write(self, curve: list[Row]) -> None:
+        """Writes the rows that are new since the last call."""
+        if self._writer is None:
+            return
+        for row in curve[self._rows :]:
+            for name, value in row.items():
+                if name not in ("update", "decisions"):
+                    self._writer.add_scalar(name, value, int(row["decisions"]))
+        self._rows = len(curve)
+        self._writer.flush()
