@@ -257,6 +257,8 @@ class RobotActor:
     def _navigate(self, point: NDArray) -> Skill:
         """Drives to where the hand reaches a world point [3], and turns for it."""
         stands = robot_stands(self.free, self.robot, self.base, point)
+        if not len(stands):  # with what it carries it cannot turn all around anywhere there: `lift_arm` with a box
+            stands = robot_stands(self.free, self.robot, self._empty_base, point)
         k, left = self._stand_with_room(stands, point)
         if not np.isfinite(left):
             gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])

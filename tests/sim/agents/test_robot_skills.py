@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
+from shapely.geometry import box
 
 from h3data.bodies import load_robot
 from h3data.geometry import IDENTITY_POSE
 from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene.freespace.build import build_from_walkable
 from sim_kinematic.agents.robot_skills import ARM_OUT_M, ARRIVED_M, RobotActor
-from sim_kinematic.agents.skills import Action, Objects
+from sim_kinematic.agents.skills import Action, Ending, Objects
+from sim_kinematic.agents.stands import robot_stands
 from sim_kinematic.avoidance.robot_base import CARRIED_M, base_of, carrying_base_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Seen
@@ -124,6 +129,30 @@ def test_bases_cover_what_robots_carry(name: str) -> None:
     gaps = np.hypot(np.array(carrying.disc_offsets_m) - ahead, aside)
     assert gaps.min() + CARRIED_M <= carrying.disc_radius_m + 0.01
     assert set(base.disc_offsets_m) < set(carrying.disc_offsets_m)
+
+
+def test_what_it_carries_is_brought_to_where_it_has_room_without_it() -> None:
+    """`lift_arm` with a box is 0.44 m long ahead: where it could not turn with it, it said `no_way` for the whole episode."""
+    lane = FreeSpace.from_map(
+        build_from_walkable(box(0, 0, 5, 0.84), radius_m=0.25, height_m=1.41, max_climb_m=0.2, cell_m=0.05)
+    )
+    body = load_robot("lift_arm")
+    state = WorldState.zeros(1, robots=1, people=1, joints=len(body.rest), objects=1)
+    robot = RobotActor(
+        body, lane, base_of(body, HOME_BASE), Objects(("box",), np.array([[3.5, 0.6, 0.42]]), state), 0.15, 8.0
+    )
+    robot.joints[:], robot.xz[:] = body.rest, (1.0, 0.42)
+    robot.objects.held_by[0], robot.objects.state.grip_pose[0, 0] = robot.number, IDENTITY_POSE
+    robot._choose_base()
+    assert not len(robot_stands(lane, body, robot.base, robot.objects.goals[0]))
+
+    def go() -> Iterator[None]:
+        ends.append((yield from robot.start(Action("nav_to_goal", 0))))
+
+    ends: list[Ending] = []
+    for _ in zip(range(300), go(), strict=False):
+        pass
+    assert [end.outcome for end in ends] == ["done"]
 
 
 def test_habitats_base_stays_as_it_is() -> None:
