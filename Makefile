@@ -7,7 +7,7 @@ GROUP ?=
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all test-browser test-ray check check-docs docs check-lerobot check-gltf web check-web format bench wheel clean
+.PHONY: setup demo test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel clean
 
 setup: $(STAMP)
 
@@ -32,6 +32,19 @@ test-browser: setup  ## h3data play in Chromium (skipped, and says why, where it
 
 test-ray: setup  ## jobs on a Ray cluster of four nodes on this machine, some of which are killed
 	$(BIN)/python -m pytest -m slow -rs tests/pipelines/test_ray.py
+
+LOWEST := .venv-lowest
+LOWEST_EXTRAS := gltf collada env rays robomimic foxglove hitl sql hub frames notebook
+LOWEST_TESTS := tests/recording tests/mesh tests/scene tests/stats tests/export tests/metrics tests/bodies/robots tests/sim/envs \
+	tests/pipelines/test_parsing.py tests/pipelines/test_sql.py tests/pipelines/test_sync.py tests/viewers/test_rerun_view.py
+test-lowest:  ## the oldest versions that pyproject.toml allows, of all but torch (constraints.txt); an environment of its own
+	test -x $(LOWEST)/bin/python || $(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install -q -c constraints.txt torch uv pytest hypothesis hatchling editables
+	grep '^torch==' constraints.txt > $(LOWEST)/overrides.txt
+	$(LOWEST)/bin/uv pip install -q --python $(LOWEST)/bin/python --resolution lowest-direct \
+		--override $(LOWEST)/overrides.txt -r pyproject.toml $(addprefix --extra ,$(LOWEST_EXTRAS)) "moto[server]>=5.1"
+	$(LOWEST)/bin/python -m pip install -q --no-deps --no-build-isolation -e .
+	NUMBA_CACHE_DIR=$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest $(LOWEST_TESTS)
 
 docs: setup  ## the documentation site, offline, into build/docs
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
@@ -99,4 +112,4 @@ wheel: setup  ## wheel and sdist, the same bytes for the same commit
 	SOURCE_DATE_EPOCH=`git log -1 --format=%ct 2>/dev/null || echo 1700000000` $(BIN)/python -m build --no-isolation
 
 clean:
-	rm -rf $(VENV) $(LEROBOT) out dist build
+	rm -rf $(VENV) $(LEROBOT) $(LOWEST) out dist build
