@@ -12,6 +12,7 @@ import io
 import os
 import re
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -97,13 +98,21 @@ def _short(text: str) -> str:
 
 
 def write_references() -> None:
-    """Writes a page for each module and one for each command."""
+    """Writes a page for each module and one for each command, and tables of both (``.inc``, included by the pages above)."""
     shutil.rmtree(WRITTEN, ignore_errors=True)
     for name, about in MODULES.items():
         _write(WRITTEN / "python" / f"{name}.md", _module_page(name, about))
+    _write(WRITTEN / "modules.inc", _table("python", MODULES))
     from h3data_pipelines.command import Group
     from h3data_pipelines.commands.table import COMMANDS
 
+    about_commands = {
+        name: command.about
+        if isinstance(command, Group)
+        else " ".join((command.__doc__ or "").partition("\n\n")[0].split())
+        for name, command in COMMANDS.items()
+    }
+    _write(WRITTEN / "commands.inc", _table("commands", about_commands))
     os.environ["COLUMNS"] = "100"
     for name, command in COMMANDS.items():
         parts = [[name, part] for part in command.commands] if isinstance(command, Group) else [[name]]
@@ -111,6 +120,11 @@ def write_references() -> None:
         for words in parts:
             page += (f"## {' '.join(words)}\n\n" if len(parts) > 1 else "") + f"```text\n{_help(words)}```\n\n"
         _write(WRITTEN / "commands" / f"{name}.md", page)
+
+
+def _table(folder: str, about: Mapping[str, str]) -> str:
+    rows = [f"| [`{name}`](written/{folder}/{name}.md) | {text} |" for name, text in about.items()]
+    return "\n".join(["| | |", "|---|---|", *rows]) + "\n"
 
 
 def _module_page(name: str, about: str) -> str:
