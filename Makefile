@@ -7,7 +7,7 @@ GROUP ?=
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel clean
+.PHONY: setup demo test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel sbom clean
 
 setup: $(STAMP)
 
@@ -110,6 +110,14 @@ bench: setup  ## all benchmarks, or GROUP=render
 
 wheel: setup  ## wheel and sdist, the same bytes for the same commit
 	SOURCE_DATE_EPOCH=`git log -1 --format=%ct 2>/dev/null || echo 1700000000` $(BIN)/python -m build --no-isolation
+
+SBOM := build/sbom
+sbom: wheel  ## what `pip install h3data` brings, as CycloneDX: dist/h3data.cdx.json
+	rm -rf $(SBOM) && $(PYTHON) -m venv $(SBOM)/env && $(PYTHON) -m venv $(SBOM)/tool
+	$(SBOM)/env/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt dist/*.whl
+	$(SBOM)/tool/bin/python -m pip install -q --disable-pip-version-check "cyclonedx-bom>=7.5"
+	$(SBOM)/tool/bin/cyclonedx-py environment --pyproject pyproject.toml --mc-type library --output-reproducible \
+		-o dist/h3data.cdx.json $(SBOM)/env/bin/python
 
 clean:
 	rm -rf $(VENV) $(LEROBOT) $(LOWEST) out dist build
