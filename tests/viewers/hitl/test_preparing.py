@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from h3data_viewers.hitl import workers as module
+from h3data_viewers.hitl.connections import Live
 from h3data_viewers.hitl.front import Front
 from h3data_viewers.hitl.live import Table
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan
-from h3data_viewers.hitl.workers import Preparer
+from h3data_viewers.hitl.workers import Preparer, WorkerProcess
 from sim_kinematic.tasks.rearrange import task as rearrange
 
 ORDER = GameOrder(index=3, name="000003")
@@ -20,7 +21,10 @@ MADE = {"manifest": {}, "agents": [1], "facts": {"solo_steps": 7}, "glb": ["a.gl
 
 
 class Spare:
+    """A worker of which only the letters that it gets are seen."""
+
     def __init__(self) -> None:
+        self.games: set[str] = set()
         self.letters: list[tuple[str, str, Any]] = []
 
     def send(self, kind: str, key: str, body: Any) -> None:
@@ -34,6 +38,9 @@ class Spares:
         self.spare = spare
 
     def ready_spare(self) -> Spare | None:
+        return self.spare
+
+    async def warm_spare(self) -> Spare | None:
         return self.spare
 
 
@@ -102,3 +109,33 @@ def test_the_episodes_after_those_that_are_played_are_prepared_ahead(tmp_path: P
         assert [body["index"] for _, _, body in spare.letters] == [1, 2, 5], "never more than there are"
 
     asyncio.run(ask())
+
+
+def test_a_game_beside_others_begins_when_the_spare_is_warm_and_has_prepared_it(tmp_path: Path) -> None:
+    async def begin() -> None:
+        front = Front(PlayPlan(app="rearrange", out=str(tmp_path), seats=("person",), episodes=6), tables=6)
+        plays, warming = Spare(), asyncio.get_running_loop().create_future()
+        front.workers.spare = cast("Any", warming)
+        lives = []
+
+        def begun() -> Live:
+            live = Live(front.journal.begin(len(lives)), cast("WorkerProcess", plays), asyncio.Future())
+            front.lives[live.game.key] = live
+            front._begin(live, live.worker)
+            lives.append(live)
+            return live
+
+        begun().begun.set_result({})
+        assert [letter[:2] for letter in plays.letters] == [("begin", "000000")], "nobody plays whom it would disturb"
+        begun()
+        await asyncio.sleep(0.01)
+        assert len(plays.letters) == 1, "it would stop the first game for a second"
+        warming.set_result(spare := Spare())
+        await asyncio.sleep(0.01)
+        assert [letter[:2] for letter in spare.letters] == [("prepare", "0/1")]
+        front.preparer.heard("0/1", dict(MADE))
+        await asyncio.sleep(0.01)
+        assert [letter[:2] for letter in plays.letters] == [("begin", "000000"), ("begin", "000001")]
+        assert plays.letters[1][2]["facts"] == MADE["facts"]
+
+    asyncio.run(begin())

@@ -238,7 +238,8 @@ class Front:
         live.worker = worker
         worker.games.add(live.game.key)
         order = self._order(live.game)
-        if self.preparer.made(order) is None and self.workers.ready_spare() is not None:
+        plays = any(other.worker is worker and other.begun.done() for other in self.lives.values())
+        if self.preparer.made(order) is None and (plays or self.workers.ready_spare() is not None):
             live.beginning = asyncio.create_task(self._begin_prepared(live, worker, order))
         else:
             self._send_order(live, worker, order)

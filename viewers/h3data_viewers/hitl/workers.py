@@ -22,7 +22,7 @@ EXPECTED_SHARE = 0.06
 """Share of a core that a game takes before one has been measured."""
 MOST_FILES, MOST_EPISODES = 160, 512
 """Kept by the front of what has been prepared."""
-PREPARE_S = 20.0
+PREPARE_S = 60.0
 """After this time the worker that plays prepares an episode itself."""
 READY_S = 600.0
 """A worker may compile kernels for minutes, once per machine."""
@@ -150,6 +150,12 @@ class Workers:
             return None
         return spare.result()
 
+    async def warm_spare(self) -> WorkerProcess | None:
+        """The spare as soon as it is warm; None where there is none."""
+        if self.spare is not None:
+            await asyncio.wait([self.spare])
+        return self.ready_spare()
+
     def _lost(self, worker: WorkerProcess) -> None:
         if worker in self.active and not self._stops:
             self.active.remove(worker)
@@ -174,8 +180,9 @@ class Workers:
 
 
 class Preparer:
-    """What pages need of episodes, made by the spare worker before they begin: files of a home and a look ahead take half a
-    second, for which all games of the worker that plays would stand still."""
+    """What pages need of episodes, made by the spare worker before they begin: files of a home and a look ahead take a second,
+    for which all games of the worker that plays would stand still. A game that begins beside others waits until the spare is
+    warm."""
 
     def __init__(self, workers: Workers) -> None:
         self._workers = workers
@@ -219,7 +226,10 @@ class Preparer:
 
     async def wait(self, order: GameOrder) -> dict[str, Any] | None:
         """What has been prepared for an episode; None: the worker that plays it has to do it."""
-        asked = self.ask(order)
-        if asked is not None:
-            await asyncio.wait([asked], timeout=PREPARE_S)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(PREPARE_S):
+                await self._workers.warm_spare()
+                asked = self.ask(order)
+                if asked is not None:
+                    await asyncio.wait([asked])
         return self.made(order)
