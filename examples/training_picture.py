@@ -15,16 +15,17 @@ PANELS = {
     "follows": "share of steps in which the robot follows",
     "collided": "share of ended episodes that ended in contact",
 }
-COLORS = ((180, 119, 31), (14, 127, 255), (44, 160, 44))
+COLORS = ((180, 119, 31), (14, 127, 255), (44, 160, 44), (189, 103, 148))
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 720, 420, 60, 50, 50
 SMOOTH = 9  # updates
 
-out, runs = Path(sys.argv[1]), [curve_of(Path(folder)) for folder in sys.argv[2:]]
+out, folders = Path(sys.argv[1]), [Path(folder) for folder in sys.argv[2:]]
+runs = [curve_of(folder) for folder in folders]
 last = max(row["decisions"] for run in runs for row in run)
 
 
-def write(panel: np.ndarray, text: str, x: int, y: int) -> None:
-    cv2.putText(panel, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (40, 40, 40), 1, cv2.LINE_AA)
+def write(panel: np.ndarray, text: str, x: int, y: int, color: tuple[int, int, int] = (40, 40, 40)) -> None:
+    cv2.putText(panel, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, 1, cv2.LINE_AA)
 
 
 def drawn(name: str, title: str) -> np.ndarray:
@@ -40,7 +41,10 @@ def drawn(name: str, title: str) -> np.ndarray:
         values = np.convolve(np.pad(values, SMOOTH // 2, mode="edge"), np.ones(SMOOTH) / SMOOTH, mode="valid")
         x = LEFT + wide * np.array([row["decisions"] for row in run]) / last
         points = np.stack([x, TOP + high * (1 - values)], 1)
-        cv2.polylines(panel, [np.rint(points * 16).astype(np.int32)], False, COLORS[k % 3], 2, cv2.LINE_AA, shift=4)
+        cv2.polylines(
+            panel, [np.rint(points * 16).astype(np.int32)], False, COLORS[k % len(COLORS)], 2, cv2.LINE_AA, shift=4
+        )
+        write(panel, folders[k].name, LEFT + wide - 110, TOP + 18 + 17 * k, COLORS[k % len(COLORS)])
     write(panel, title, LEFT, 30)
     write(panel, "millions of decisions", WIDTH // 2 - 80, HEIGHT - 8)
     return panel

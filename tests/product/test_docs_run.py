@@ -176,6 +176,9 @@ def shortened(words: list[str]) -> list[str]:
             episodes = {"generate": "5", "evaluate": "1"}[words[0]]
             words = [*_without(words, "--episodes", "--workers"), "--episodes", episodes]
             words += [] if "rearrange" in words else ["--max-steps", "20"]
+        case ["train", *_]:
+            words = _without(words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds")
+            words += ["--scenes", "h3-homes/train#0", "--worlds", "4", "--updates", "1"]
         case ["demo", *_]:
             words = [*words, "--steps", "450"]
         case ["scenes", "validate", *_]:
@@ -230,6 +233,6 @@ def test_page_runs_as_written(page: Path, stage: Path, tmp_path: Path, monkeypat
             words = [found for word in shlex.split(line) for found in expanded(word)]
             if words[:1] == ["h3data"] and not any(absent in line for absent in ABSENT):
                 words = shortened(words[1:])
-                if "-o" in words and words[0] in ("generate", "demo", "evaluate"):
+                if "-o" in words and words[0] in ("generate", "demo", "evaluate", "train"):
                     shutil.rmtree(words[words.index("-o") + 1], ignore_errors=True)
                 assert main(words) == 0, line

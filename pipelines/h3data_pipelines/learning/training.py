@@ -34,7 +34,7 @@ class Train:
         h3data train social_nav --recipe tiny -o out/tiny
         h3data train social_nav --observations humanoid_detector,humanoid_gps --device cuda -o out/blind
         h3data train social_nav --recipe fast --dry-run -o out/nav
-        h3data evaluate social_nav --policies weights:out/nav/policy.npz,heuristic_expert -o out/table
+        h3data evaluate social_nav --policies weights:out/nav/policy.npz,rollout_expert -o out/table
     """
 
     task: tyro.conf.Positional[str]
@@ -42,8 +42,8 @@ class Train:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the run."""
     recipe: Literal["fast", "tiny"] = "tiny"
-    """Settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), tiny for a CPU (256
-    worlds, one home, no pictures: the robot is told where the person is)."""
+    """Settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), tiny for a CPU (512
+    worlds, no pictures: the robot is told where the person is and how far off walls are)."""
     seed: int = 0
     """Everything random follows from it."""
     minutes: float | None = None
@@ -55,10 +55,10 @@ class Train:
     device: str = "cpu"
     """cpu, cuda or cuda:N."""
     scenes: str | None = None
-    """Homes to learn in, as of h3data generate (default: h3-homes/train, tiny its first)."""
+    """Homes to learn in, as of h3data generate (default: h3-homes/train)."""
     observations: str | None = None
     """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
-    humanoid_gps alone); there are also egomotion, humanoid_velocity, way and range_scan."""
+    humanoid_gps,range_scan); there are also egomotion, humanoid_velocity, way and range_scan."""
     worlds: int | None = None
     """Worlds that are stepped at once."""
     hold: int | None = None
