@@ -38,10 +38,12 @@ ASTERISK = re.compile(r"(``.*?``|`[^`]*`)|\*")
 project, author = "h3data", "the h3data authors"
 project_copyright = "the h3data authors, MIT licence"
 version = release = h3data.__version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton", "sphinx_design"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton", "sphinx_design"]
 default_role = "literal"
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
+nb_execution_mode, nb_execution_timeout, nb_execution_raise_on_error = "force", 300, True
+nb_execution_show_tb, nb_render_markdown_format = True, "gfm"
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "show-inheritance": True}
 python_use_unqualified_type_names = True

@@ -63,6 +63,9 @@ class MetricsTable:
     def __repr__(self) -> str:
         return f"MetricsTable({self.profile!r}, {len(self)} episodes, {', '.join(self.columns)})"
 
+    def __str__(self) -> str:
+        return self.to_text()
+
     def summary(self, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0) -> dict[str, Summary]:
         """Returns mean and interval of each metric, see `summarize`."""
         key = (confidence, resamples, seed)

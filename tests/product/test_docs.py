@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import json
 import re
 import shlex
 from pathlib import Path
@@ -18,6 +19,7 @@ from tests.paths import DOCS, ROOT
 
 BLOCK = re.compile(r"^ *```(\w+)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("tutorials/*.md"))]
+NOTEBOOKS = sorted(DOCS.glob("notebooks/*.ipynb"))
 RUN = ("python.md",)
 """Pages whose Python blocks run one after the other, as a reader runs them."""
 
@@ -79,5 +81,14 @@ def test_pages_run_as_written(name: str, tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_the_site_leads_to_every_page() -> None:
     listed = re.findall(r"^[a-z][\w/-]*$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
-    written = [page.relative_to(DOCS).with_suffix("").as_posix() for page in PAGES[1:]]
+    written = [page.relative_to(DOCS).with_suffix("").as_posix() for page in (*PAGES[1:], *NOTEBOOKS)]
     assert sorted(set(listed) - {"reference/python", "reference/commands"}) == sorted(set(written) - {"index"})
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_are_stored_without_outputs_which_make_docs_computes(notebook: Path) -> None:
+    cells = json.loads(notebook.read_text())["cells"]
+    assert any(cell["cell_type"] == "code" for cell in cells)
+    for cell in cells:
+        assert not cell.get("outputs"), "clear the outputs of all cells before you commit"
+        assert cell.get("execution_count") is None

@@ -202,7 +202,8 @@ def _metrics(recording: Recording) -> str:
     for metric in table.metrics:
         value = float(table.columns[metric.name][0])
         unit = "" if metric.unit == "1" else f" {metric.unit}"
-        rows.append([metric.name, "undefined" if np.isnan(value) else f"{value:.3g}{unit}", metric.title])
+        number = f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+        rows.append([metric.name, "undefined" if np.isnan(value) else number + unit, metric.title])
     return _table(rows)
 
 
