@@ -41,7 +41,7 @@ WEB = Path(importlib.util.find_spec("h3data_viewers.hitl").submodule_search_loca
 COUNTS, WARM_S, MEASURED_S, SIEGE_S, WORKERS = (1, 10, 20), 4.0, 15.0, 30.0, 2
 PLANS: dict[str, dict[str, Any]] = {
     "rearrange": {"app": "rearrange", "partner": "complement", "scenes": "small:3"},
-    "social_nav": {"app": "social_nav", "partner": "heuristic_expert", "scenes": "small:2"},
+    "social_nav": {"app": "social_nav", "partner": "rollout_expert", "scenes": "small:2"},
 }
 TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-REPORT_RUNS, REPORT_EPISODES = ("heuristic_expert", "random"), 500
+REPORT_RUNS, REPORT_EPISODES = ("rollout_expert", "random"), 500
 
 
 def _wall_s(*command: str) -> float:

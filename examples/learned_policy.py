@@ -12,7 +12,7 @@ from h3data.metrics import measure
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from sim_kinematic.policies.learned import navigation_input
 from sim_kinematic.policies.network import from_torch, save_network
-from sim_kinematic.policies.social_nav import heuristic_expert
+from sim_kinematic.policies.social_nav import rollout_expert
 
 FILE = sys.argv[1] if len(sys.argv) > 1 else "expert.npz"
 NAMES = ("humanoid_gps", "way")
@@ -23,7 +23,7 @@ seen, done = [], []
 
 
 def watched_expert(view, base):
-    command = heuristic_expert(view, base)
+    command = rollout_expert(view, base)
     seen.append(navigation_input(view, base, NAMES))
     done.append([command.forward, command.turn])
     return command
@@ -43,6 +43,6 @@ for _ in range(500):
     optimizer.step()
 save_network(from_torch(net, task="social_nav", observations=NAMES, mean=mean, scale=scale), FILE)
 
-for policy in ("stand_still", f"weights:{FILE}", "heuristic_expert"):
+for policy in ("stand_still", f"weights:{FILE}", "rollout_expert"):
     recording = h3data.simulate("social_nav", home, seed=9, spec=spec, agents={"robot": policy})
     print(f"{policy}: followed {measure(recording).values['F']:.2f} of the possible steps")

@@ -9,7 +9,7 @@ EPISODES = 4
 home = h3data.build_home(h3data.HomeSpec(preset="small", seed=0))
 spec = SocialNavSpec(max_steps=300, human=WalkerSpec(speed_mps=1.2))
 
-for policy in ("heuristic_expert", "stand_still"):
+for policy in ("rollout_expert", "stand_still"):
     recordings = [
         h3data.simulate("social_nav", home, seed=seed, spec=spec, agents={"robot": policy}) for seed in range(EPISODES)
     ]

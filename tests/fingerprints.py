@@ -573,16 +573,16 @@ def stores(prints: Prints, out: Path) -> None:
 
 def tables(prints: Prints, out: Path) -> None:
     """Two runs beside each other, the series and events that metrics come from, and evaluations."""
-    for policy in ("heuristic_expert", "plain_expert"):
+    for policy in ("rollout_expert", "heuristic_expert"):
         command("generate", "social_nav", "--policy", policy, "--episodes", "6", "--max-steps", "600", "--scenes",
                 "small:3", "-o", out / policy)  # fmt: skip
-    one, other = out / "heuristic_expert", out / "plain_expert"
+    one, other = out / "rollout_expert", out / "heuristic_expert"
     prints.add("paired", "social_nav", command("metrics", one, other, "--paired"))
     command("metrics", one, "--series", out / "series.csv", "--events", out / "events.csv", "-o", out / "table.csv")
     for name in ("series.csv", "events.csv", "table.csv"):
         prints.add("files", name, (out / name).read_bytes())
     prints.add("evaluate", "social_nav", command(
-        "evaluate", "social_nav", "--policies", "heuristic_expert,random", "--episodes", "3", "--max-steps", "300",
+        "evaluate", "social_nav", "--policies", "rollout_expert,random", "--episodes", "3", "--max-steps", "300",
         "--scenes", "small:3", "-o", out / "follow"))  # fmt: skip
     prints.add("evaluate", "rearrange", command(
         "evaluate", "rearrange", "--policies", "complement,still", "--partners", "both,object_1", "--episodes", "2",
@@ -762,7 +762,7 @@ def _cases() -> Iterator[Case]:
         yield generated(f"{task} with anybody", "--human", "any", "--human-speed", "1.3", "--episodes", "3",
                         "--max-steps", "900", "--spawn-distance", "3", "--seed", "8", "--scenes", "medium")  # fmt: skip
         yield generated(f"{task} of a set", "--scenes", "h3-homes/test", "--episodes", "3")
-    for policy in ("plain_expert", "sampling_expert", "future_oracle", "learned_follower", "random", "stand_still"):
+    for policy in ("heuristic_expert", "sampling_expert", "future_oracle", "learned_follower", "random", "stand_still"):
         yield generated(f"social_nav by {policy}", "--policy", policy, "--episodes", "3", "--max-steps", "600",
                         "--scenes", "small:3")  # fmt: skip
     yield generated("rearrange that fails twice", "--human", "any", "--human-walk", "paper", "--human-speed", "1.3",
@@ -792,7 +792,9 @@ def _cases() -> Iterator[Case]:
 
     yield Case(
         name="replay social_nav",
-        make=lambda p, out: replay(p, out, "social_nav", (1, 150, 700), "--scenes", "small:1", other=("plain_expert",)),
+        make=lambda p, out: replay(
+            p, out, "social_nav", (1, 150, 700), "--scenes", "small:1", other=("heuristic_expert",)
+        ),
     )
     yield Case(
         name="replay rearrange",

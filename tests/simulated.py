@@ -31,7 +31,7 @@ def social_nav_episode(
     return SOCIAL_NAV.episode(home, seed=seed, spec=spec, free=free, human=human, robot=robot)
 
 
-def simulate_social_nav(episode: Episode, *, policy: Any = "heuristic_expert", **options: Any) -> Recording:
+def simulate_social_nav(episode: Episode, *, policy: Any = "rollout_expert", **options: Any) -> Recording:
     """Its recording; ``options`` as of `simulate`."""
     return simulate(SOCIAL_NAV, episode, {"robot": policy}, **options)
 

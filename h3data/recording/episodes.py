@@ -105,7 +105,7 @@ class Episodes(Sequence[Recording]):
     def filter(self, keep: Callable[[Mapping[str, Any]], bool] | None = None, **equal: Any) -> Episodes:
         """Returns the episodes whose facts ``keep`` accepts and that have the given values.
 
-        ``ds.filter(policy="heuristic_expert")``, ``ds.filter(lambda facts: facts["length"] > 300)``.
+        ``ds.filter(policy="rollout_expert")``, ``ds.filter(lambda facts: facts["length"] > 300)``.
 
         Raises:
             InputError: no episode has such a fact.

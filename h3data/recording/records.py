@@ -41,11 +41,20 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 
-SCHEMA_VERSION = "1.5"
+SCHEMA_VERSION = "1.6"
 """Additive changes raise the second number; readers refuse a newer first number."""
 
 PLANTED_SINCE = (1, 5)
 """Schema version since which people walk with planted feet (`h3data.bodies.people.planted_gait`)."""
+
+PAPERS_EXPERT_SINCE = (1, 6)
+"""Schema version since which social navigation's ``heuristic_expert`` is the paper's."""
+
+
+def is_since(version: str, since: tuple[int, int]) -> bool:
+    """Whether a schema version is ``since`` or a later one; parts that are no numbers count as 0."""
+    return tuple(int(part) if part.isdigit() else 0 for part in version.split(".")) >= since
+
 
 STEP_NS = 33_333_333
 """Nominal step: 30 steps per second, in whole nanoseconds."""
@@ -166,8 +175,7 @@ class Episode:
     def plants_feet(self) -> bool:
         """Whether people walk with planted feet, as they do since schema 1.5: in replays of those recorded by clips, and when
         an episode is simulated again."""
-        version = self.schema_version.split(".")
-        return tuple(int(part) if part.isdigit() else 0 for part in version) >= PLANTED_SINCE
+        return is_since(self.schema_version, PLANTED_SINCE)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

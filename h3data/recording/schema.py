@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from h3data.recording.records import (
+    PAPERS_EXPERT_SINCE,
     SCHEMA_VERSION,
     Agent,
     AssetRef,
@@ -29,6 +30,7 @@ from h3data.recording.records import (
     Recording,
     RecordingHeader,
     SkillSpan,
+    is_since,
 )
 
 Topic = Literal["state", "action", "metrics", "input"]
@@ -282,6 +284,14 @@ def info_to_json(info: Mapping[str, Any]) -> str:
         raise InputError(f"Episode.info must hold only what JSON can hold: {error}.") from None
 
 
+def current_info(task: str, version: str, info: str) -> str:
+    """JSON of `Episode.info` with the names that policies have now: before `PAPERS_EXPERT_SINCE`, ``heuristic_expert`` was the
+    name of social navigation's ``rollout_expert``."""
+    if task != "social_nav" or is_since(version, PAPERS_EXPERT_SINCE):
+        return info
+    return info.replace('"heuristic_expert"', '"rollout_expert"')
+
+
 def episode_to_dict(episode: Episode) -> dict[str, Any]:
     """Fields of an episode; ``info`` as JSON text."""
     return {
@@ -301,7 +311,7 @@ def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
     """The inverse of `episode_to_dict`; numbers may come as text."""
     try:
         texts = {k: str(values[k]) for k in ("uid", "episode_id", "task", "scene", "created_by", "schema_version")}
-        info = json.loads(values["info"])
+        info = json.loads(current_info(texts["task"], texts["schema_version"], values["info"]))
         episode = Episode(**texts, seed=int(values["seed"]), dt_ns=int(values["dt_ns"]), info=info)
     except (KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise FormatError(f"The episode record is incomplete or malformed ({error}): {path}") from error

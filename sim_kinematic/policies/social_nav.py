@@ -80,10 +80,10 @@ def _expected_walk(view: SocialNavView) -> NDArray[np.float64]:
     return straight_walk(view.free, view.human_xz, velocity, ESCAPE_STEPS)
 
 
-def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The paper's expert: shortest path to the person when farther than 1.5 m, back away from them inside.
+def rollout_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
+    """The two rules of `heuristic_expert` by roll-outs: it tries out ways to drive for the next steps and takes the best.
 
-    Its code was never published (spec/habitat.md 1.8). It approaches in the way, forwards or backwards, that shortens the
+    It approaches in the way, forwards or backwards, that shortens the
     path most, and restores 1.5 m at the smallest speed that does; before somebody who comes nearer it goes back as fast as
     they come. Where the person would walk into it, it backs away in the bend that leaves most room. Of the person it knows
     where they are and were a step ago.
@@ -108,9 +108,11 @@ def _receding(view: SocialNavView) -> float:
     return (away_x * step_x + away_z * step_z) / max(math.hypot(away_x, away_z), 1e-9)
 
 
-def plain_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The paper's two rules and no more: it drives at the next corner of the shortest path, and backs straight away from
-    them. It tries nothing out and foresees nothing, so the person often pins it against a wall."""
+def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
+    """The paper's expert (section 4.1): the shortest path to the person when farther than 1.5 m, backing away from them inside.
+
+    Its code was never published (spec/habitat.md 1.8). It drives at the next corner of the path, and backs straight away. It
+    tries nothing out and foresees nothing, so the person often pins it against a wall."""
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
     gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
@@ -242,8 +244,8 @@ def _follower() -> Policy:
 
 
 POLICIES: dict[str, Policy] = {
+    "rollout_expert": rollout_expert,
     "heuristic_expert": heuristic_expert,
-    "plain_expert": plain_expert,
     "sampling_expert": sampling_expert,
     "future_oracle": future_oracle,
     "learned_follower": learned_follower,
@@ -252,15 +254,20 @@ POLICIES: dict[str, Policy] = {
 }
 
 
-EXPERTS = ("heuristic_expert", "sampling_expert", "future_oracle")
-"""Those that, chosen by name, also back out of where they are stuck (`sim_kinematic.policies.maneuvering`); `plain_expert` has
-the paper's two rules and no more."""
+EXPERTS = ("rollout_expert", "sampling_expert", "future_oracle")
+"""Those that, chosen by name, also back out of where they are stuck (`sim_kinematic.policies.maneuvering`); `heuristic_expert`
+has the paper's two rules and no more."""
+
+EARLIER_NAMES = {"plain_expert": "heuristic_expert"}
+"""What recordings before version 1.6 call it; their ``heuristic_expert`` is read as ``rollout_expert``
+(`h3data.recording.schema.current_info`)."""
 
 
 def policy_by_name(name: str) -> Policy:
     """The policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
     if is_learned(name):
         return navigation_of(network_of(name))
+    name = EARLIER_NAMES.get(name, name)
     if name not in POLICIES:
         raise InputError(
             f"Unknown policy {name!r}.{did_you_mean(name, [*POLICIES, *SHIPPED])} Expected one of: "

@@ -210,7 +210,7 @@ BAD = {
     "truncated replay": (["import", "cut.gfx_replay.json", "-o", "rec"], "JSON"),
     "empty folder": (["import", "empty", "-o", "rec"], "No .json"),
     "unknown task": (["generate", "dishes", "-o", "ds"], "social_nav"),
-    "unknown policy": (["generate", "social_nav", "--policy", "magic", "-o", "ds"], "heuristic_expert"),
+    "unknown policy": (["generate", "social_nav", "--policy", "magic", "-o", "ds"], "rollout_expert"),
     "unknown scenes": (["generate", "social_nav", "--scenes", "castle", "-o", "ds"], "small"),
     "no episodes": (["generate", "social_nav", "--episodes", "0", "-o", "ds"], "--episodes"),
     "unknown body": (["generate", "social_nav", "--human", "yeti", "-o", "ds"], "female_0"),

@@ -33,13 +33,13 @@ def run_json(capsys: pytest.CaptureFixture[str], *args: object, code: int = 0) -
 
 def test_it_says_what_generate_and_metrics_say_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, ds = tmp_path / "table", tmp_path / "ds"
-    evaluate = ("evaluate", "social_nav", *RULES, "--policies", "heuristic_expert,stand_still", "-o", out)
+    evaluate = ("evaluate", "social_nav", *RULES, "--policies", "rollout_expert,stand_still", "-o", out)
     assert run_json(capsys, *evaluate, "--episodes", "1")["new"] == 1
     result = run_json(capsys, *evaluate, "--episodes", "2")
     assert (result["episodes"], result["new"], result["failed"]) == (2, 1, [])
-    run_json(capsys, "generate", "social_nav", *RULES, "--policy", "heuristic_expert", "--episodes", "2", "-o", ds)
+    run_json(capsys, "generate", "social_nav", *RULES, "--policy", "rollout_expert", "--episodes", "2", "-o", ds)
     for name, summary in measure_files([ds]).summary().items():
-        cell = next(c for c in result["cells"] if (c["policy"], c["metric"]) == ("heuristic_expert", name))
+        cell = next(c for c in result["cells"] if (c["policy"], c["metric"]) == ("rollout_expert", name))
         assert cell["mean"] == pytest.approx(summary.mean, nan_ok=True)
         assert cell["low"] == pytest.approx(summary.low, nan_ok=True)
         assert cell["episodes"] == summary.count
@@ -62,7 +62,7 @@ def test_it_says_what_generate_and_metrics_say_and_goes_on(tmp_path: Path, capsy
     ("options", "told"),
     [
         (("social_nav", "--policies", "magic"), "sampling_expert"),
-        (("social_nav", "--policies", ","), "--policies: expected some of heuristic_expert"),
+        (("social_nav", "--policies", ","), "--policies: expected some of rollout_expert"),
         (("social_nav", "--partners", "both"), "expected some of waypoints"),
         (("social_nav", "--scenes", "nowhere"), "h3-homes/test"),
         (("dance",), "Expected one of: social_nav, rearrange, wander"),

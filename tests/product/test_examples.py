@@ -26,7 +26,7 @@ def test_draw_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 def test_measure_policies(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "measure_policies.py"))
     out = capsys.readouterr().out
-    assert "heuristic_expert" in out
+    assert "rollout_expert" in out
     assert out.count("Finding success") >= 2
 
 

@@ -97,3 +97,26 @@ def test_a_newer_major_version_is_refused(old):
             Dataset(old / "dataset")
     info.write_text(json.dumps({**text, "h3data": {**text["h3data"], "schema_version": "1.99"}}))
     assert recordings_equal(recording(), Dataset(old / "dataset").recording(0)) == []
+
+
+@pytest.mark.parametrize(
+    ("version", "task", "recorded", "read"),
+    [
+        ("1.5", "social_nav", "heuristic_expert", "rollout_expert"),
+        ("1.5", "social_nav", "plain_expert", "plain_expert"),
+        ("1.5", "mine", "heuristic_expert", "heuristic_expert"),
+        ("1.6", "social_nav", "heuristic_expert", "heuristic_expert"),
+    ],
+)
+def test_the_name_of_a_policy_means_what_it_meant_when_it_was_recorded(tmp_path, version, task, recorded, read):
+    info = {"policy": recorded, "counterfactual": {"policy": recorded}}
+    episode = replace(recording().episode, task=task, schema_version=version, info=info)
+    write_mcap(replace(recording(), episode=episode), tmp_path / "a.mcap")
+    with DatasetWriter(tmp_path / "ds") as writer:
+        writer.add(replace(recording(), episode=episode))
+    logged, dataset = read_mcap(tmp_path / "a.mcap"), Dataset(tmp_path / "ds")
+    expected = {"policy": read, "counterfactual": {"policy": read}}
+    assert logged.episode.info == dataset.recording(0).episode.info == expected
+    assert json.loads(dataset.row(0)["info"]) == expected
+    again = read_mcap(write_mcap(logged, tmp_path / "b.mcap"))
+    assert again.episode == logged.episode, "reading and writing twice renames once"

@@ -25,7 +25,7 @@ def recording() -> Any:
 def test_a_recording_is_pictures_facts_and_metrics(recording: Any) -> None:
     html = recording._repr_html_()
     assert len(re.findall(r'<img src="data:image/jpeg;base64,[\w+/=]{1000,}"', html)) == notebook.STRIP
-    for text in ("social_nav", "12 steps", "heuristic_expert", "Finding success"):
+    for text in ("social_nav", "12 steps", "rollout_expert", "Finding success"):
         assert text in html
 
 

@@ -18,7 +18,7 @@ from h3data.recording.parquet.columns import conform
 from h3data.recording.parquet.files import FILES_PER_CHUNK, is_dataset, shard_files, shard_path
 from h3data.recording.parquet.records import DAMAGE, DatasetRecords
 from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema
-from h3data.recording.schema import check_version
+from h3data.recording.schema import check_version, current_info
 from h3data.recording.storage import RemotePath, place, readable
 
 _OPEN_FILES = 4
@@ -80,8 +80,11 @@ class DatasetFolder:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """`episodes` as Python values."""
-        return self.episodes.to_pylist()
+        """`episodes` as Python values, ``info`` with the names of today."""
+        rows = self.episodes.to_pylist()
+        for row in rows:
+            row["info"] = current_info(row["task"], row["schema_version"], row["info"])
+        return rows
 
     def __len__(self) -> int:
         return len(self.episodes)

@@ -27,7 +27,7 @@ class Evaluate:
         h3data evaluate rearrange --scenes h3-homes/test -o out/zsc
         h3data evaluate rearrange --policies complement,still --partners both,object_1 --episodes 20 -o out/pairs
         h3data evaluate social_nav --scenes h3-homes/test --workers 2 -o out/social_nav
-        h3data evaluate social_nav --policies heuristic_expert,weights:net.npz --episodes 20 -o out/mine
+        h3data evaluate social_nav --policies rollout_expert,weights:net.npz --episodes 20 -o out/mine
         h3data evaluate rearrange --scenes medium --homes 2 --episodes 8 --workers 2 -o out/pairs
         h3data evaluate rearrange --episodes 20 --keep --zsc plan_pop_1 --zsc plan_pop_2 -o out/zsc
         h3data evaluate rearrange --episodes-file val.json.gz --assets data/ -o out/val
@@ -39,7 +39,7 @@ class Evaluate:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: str = ALL
-    """Robots, separated by commas. social_nav: heuristic_expert, plain_expert, sampling_expert, future_oracle,
+    """Robots, separated by commas. social_nav: rollout_expert, heuristic_expert, sampling_expert, future_oracle,
     learned_follower, end_to_end, random, stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object,
     still; or all."""
     partners: str = ALL

@@ -106,7 +106,7 @@ class Generate:
     homes: int = 4
     """Number of different homes of a preset that the episodes go round."""
     policy: str | None = None
-    """Robot policy. social_nav: heuristic_expert (default), plain_expert, sampling_expert, future_oracle (knows their walk),
+    """Robot policy. social_nav: rollout_expert (default), heuristic_expert, sampling_expert, future_oracle (knows their walk),
     learned_follower, end_to_end (sees by cameras), random or stand_still; rearrange: complement (default), greedy_nearest,
     same_object, still, or solo (there is no robot). Both: weights:FILE, a learned one (docs/learned-policies.md)."""
     partner: str | None = None

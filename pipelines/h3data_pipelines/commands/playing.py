@@ -42,7 +42,7 @@ class Play:
         h3data play rearrange
         h3data play rearrange --partner same_object --scenes small:3 -o rec/
         h3data play rearrange --as robot --partner both
-        h3data play social_nav --partner heuristic_expert --episodes 3
+        h3data play social_nav --partner rollout_expert --episodes 3
         h3data play rearrange --as person,robot
         h3data play tutorial
         h3data play teleop --partner both

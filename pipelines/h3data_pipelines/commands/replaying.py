@@ -40,9 +40,9 @@ class ReplayCommand:
     counterfactual: bool = False
     """Keep people on their recorded tracks; robots follow --policy, from --resume-from or from the start."""
     policy: str | None = None
-    """Robot policy, as for h3data generate, or weights:FILE (default: the recording's own). social_nav: heuristic_expert,
-    plain_expert, sampling_expert, future_oracle, learned_follower, end_to_end, random or stand_still; rearrange: complement,
-    greedy_nearest, same_object or still."""
+    """Robot policy, as for h3data generate, or weights:FILE (default: the recording's own). social_nav: rollout_expert,
+    heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end, random or stand_still; rearrange:
+    complement, greedy_nearest, same_object or still."""
     partner: str | None = None
     """rearrange: policy of the person, as for h3data generate (default: the recording's own)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None

@@ -92,7 +92,7 @@ class SocialNav(Task):
     }
     skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS}
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**POLICIES, **SHIPPED}}
-    defaults: ClassVar[Mapping[str, str]] = {"robot": "heuristic_expert", "human": "waypoints"}
+    defaults: ClassVar[Mapping[str, str]] = {"robot": "rollout_expert", "human": "waypoints"}
     env_defaults: ClassVar[Mapping[str, Any]] = {"spec": TRAINING}
     env_options: ClassVar[tuple[str, ...]] = ("reward",)
 

@@ -153,7 +153,7 @@ def test_a_cart_wanders_and_follows_by_its_own_discs(
     base = base_of(cart, BaseSpec())
     recording = simulate_wander(home, f"robot:{cart_file},human", seed=3, steps=240, free=free)
     world = social_nav_episode(home, seed=2, free=free, robot=str(cart_file))
-    followed = simulate_social_nav(world, policy="heuristic_expert")
+    followed = simulate_social_nav(world, policy="rollout_expert")
     for made in (recording, followed):
         track = made.columns["agent_0.base_pose"].astype(np.float64)
         assert _clearance(track, free, base) >= -base.clearance_tolerance_m - 1e-5

@@ -23,7 +23,7 @@ from sim_kinematic.envs.vector import TaskVectorEnv
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.social_nav import heuristic_expert
+from sim_kinematic.policies.social_nav import rollout_expert
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.sensing.table import SENSORS
@@ -46,14 +46,14 @@ def expert(play: WorldPlay, w: int = 0) -> np.ndarray:
     view = SocialNavView(
         episode.free, robot.xz[w], float(robot.heading[w]), person.xz[w], float(play.memory.geodesic[w]), False
     )
-    return np.array(heuristic_expert(view, play.spec.robot)[:2], np.float32)
+    return np.array(rollout_expert(view, play.spec.robot)[:2], np.float32)
 
 
 def ram(play: WorldPlay) -> np.ndarray:
     """Drives at the person until they touch."""
     (robot,), (person,) = play.world.state.robots, play.world.state.people
     view = SocialNavView(play.episodes[0].free, robot.xz[0], float(robot.heading[0]), person.xz[0], 100.0, False)
-    return np.array(heuristic_expert(view, play.spec.robot)[:2], np.float32)
+    return np.array(rollout_expert(view, play.spec.robot)[:2], np.float32)
 
 
 def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:

@@ -13,7 +13,7 @@ from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots
 from sim_kinematic.policies.maneuvering import NEAR_M, Maneuvering
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.social_nav import heuristic_expert
+from sim_kinematic.policies.social_nav import rollout_expert
 from sim_kinematic.policies.views import SocialNavView
 
 WEDGED = np.array([7.58605146, 9.79296398]), 0.6624391771594816
@@ -47,11 +47,9 @@ def test_a_base_wedged_between_two_walls_has_a_maneuver(free: FreeSpace) -> None
 
 
 def test_the_expert_gets_out_of_where_it_is_wedged(free: FreeSpace) -> None:
-    alone = drive(
-        free, Maneuvering(heuristic_expert, BaseSpec(disc_offsets_m=HOME_BASE.disc_offsets_m)), HOME_BASE, 150
-    )
+    alone = drive(free, Maneuvering(rollout_expert, BaseSpec(disc_offsets_m=HOME_BASE.disc_offsets_m)), HOME_BASE, 150)
     assert np.hypot(*(alone[-1] - WEDGED[0])) < 0.01  # bases that do not maneuver stay as they were
-    assert np.hypot(*(drive(free, Maneuvering(heuristic_expert, HOME_BASE), HOME_BASE, 150)[-1] - PERSON)) < NEAR_M
+    assert np.hypot(*(drive(free, Maneuvering(rollout_expert, HOME_BASE), HOME_BASE, 150)[-1] - PERSON)) < NEAR_M
 
 
 def test_who_wants_to_stand_is_left_alone(free: FreeSpace) -> None:

@@ -18,7 +18,7 @@ from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots, least_clearance
-from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, Policy, future_oracle, heuristic_expert
+from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, Policy, future_oracle, rollout_expert
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.tasks.social_nav.episode import plan_of
 from tests.simulated import simulate_social_nav, social_nav_episode
@@ -74,7 +74,7 @@ def test_commands_are_in_range_and_the_same_again(policy: Policy, free: FreeSpac
         assert policy(view._replace(robot_xz=view.robot_xz.copy()), SPEC) == command
 
 
-@pytest.mark.parametrize("policy", [heuristic_expert, POLICIES["sampling_expert"], future_oracle])
+@pytest.mark.parametrize("policy", [rollout_expert, POLICIES["sampling_expert"], future_oracle])
 def test_experts_wait_where_there_is_no_way(policy: Policy, free: FreeSpace) -> None:
     for met in (False, True):
         view = views(free, 1)[0]._replace(geodesic_m=np.inf, met=met)
@@ -94,7 +94,7 @@ def test_a_mirrored_world_has_mirrored_commands() -> None:
             free=mirrored, robot_xz=view.robot_xz * MIRROR, robot_heading=-view.robot_heading,
             human_xz=view.human_xz * MIRROR, human_before=view.human_before * MIRROR,
         )  # fmt: skip
-        one, two = heuristic_expert(view, SPEC), heuristic_expert(other, SPEC)
+        one, two = rollout_expert(view, SPEC), rollout_expert(other, SPEC)
         assert one.skill == two.skill
         assert one[:2] == pytest.approx((two.forward, -two.turn), abs=1e-6), k
 
@@ -138,8 +138,8 @@ def test_she_comes_and_the_expert_gives_way(free: FreeSpace) -> None:
     heading = float(np.arctan2(-(human - xz)[1], (human - xz)[0]))
     still = SocialNavView(free, xz, heading, human, apart, True, human_before=human)
     comes = still._replace(human_before=human + (human - xz) / apart * 2.5 * STEP_S)
-    assert -1 < heuristic_expert(still, SPEC).forward < 0
-    assert heuristic_expert(comes, SPEC).forward == -1
+    assert -1 < rollout_expert(still, SPEC).forward < 0
+    assert rollout_expert(comes, SPEC).forward == -1
 
 
 @pytest.mark.parametrize("speed_mps", [0.6, 1.3, 2.2])
@@ -153,7 +153,7 @@ def test_who_walks_at_the_expert_makes_it_go_back_not_back_and_forth(speed_mps: 
     while human[0] < -0.5:
         before, human = human, human + np.array([speed_mps * STEP_S, 0.0])
         apart = float(free.geodesic(robot.xz[0], human))
-        command = heuristic_expert(
+        command = rollout_expert(
             SocialNavView(free, robot.xz[0], robot.heading.item(0), human, apart, True, human_before=before), SPEC
         )
         drive_robots(robot, free, np.array([command[:2]]), SPEC)
@@ -185,7 +185,7 @@ def test_the_foreseen_track_is_the_track(home: Scene, free: FreeSpace) -> None:
     def watcher(view: SocialNavView, spec: BaseSpec) -> object:
         assert view.future is not None
         seen[view.step] = (view.human_xz, view.future()[0], view.human_before)
-        return heuristic_expert(view, spec)
+        return rollout_expert(view, spec)
 
     simulate_social_nav(world, policy=watcher)  # type: ignore[arg-type]
     np.testing.assert_array_equal([seen[k + 1][0] for k in range(39)], [seen[k][1] for k in range(39)])
@@ -193,7 +193,7 @@ def test_the_foreseen_track_is_the_track(home: Scene, free: FreeSpace) -> None:
     np.testing.assert_array_equal([seen[k][1] for k in range(40)], plan_of(world).xz)
 
 
-@pytest.mark.parametrize("policy", ["heuristic_expert", "sampling_expert", "future_oracle"])
+@pytest.mark.parametrize("policy", ["rollout_expert", "sampling_expert", "future_oracle"])
 def test_experts_find_follow_and_keep_clear(policy: str, home: Scene, free: FreeSpace) -> None:
     spec = SocialNavSpec(max_steps=400)
     worlds = [social_nav_episode(home, seed=seed, spec=spec, free=free) for seed in range(4)]

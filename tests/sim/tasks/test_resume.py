@@ -24,7 +24,7 @@ SCENE = build_home(HomeSpec(preset="small", seed=1))
 GOALS = 3
 
 
-def simulated(seed: int, *, policy: str = "heuristic_expert", steps: int = 150, told: bool = False) -> Recording:
+def simulated(seed: int, *, policy: str = "rollout_expert", steps: int = 150, told: bool = False) -> Recording:
     spec = SocialNavSpec(max_steps=steps)
     world = social_nav_episode(SCENE, seed=seed, spec=spec, free=FreeSpace.from_scene(SCENE, radius_m=0.25))
     if told:  # goals that do not follow from the seed
@@ -174,7 +174,7 @@ def test_the_person_keeps_her_track_and_it_says_so(episode: Recording) -> None:
     assert other.episode.info["counterfactual"] == {
         "uid": episode.episode.uid,
         "step": 20,
-        "policy": "heuristic_expert",
+        "policy": "rollout_expert",
     }
     np.testing.assert_array_equal(state_hash(other.columns), other.columns["state_hash"])
     assert verify(other).equal
@@ -186,7 +186,7 @@ def test_a_track_from_elsewhere_is_kept_too(episode: Recording) -> None:
     base[:, 0] += 0.05 * np.sin(np.arange(len(base)) / 10).astype(np.float32)
     elsewhere = replace(episode, columns={**episode.columns, "agent_1.base_pose": base})
     assert not verify(elsewhere).equal
-    other = counterfactual(elsewhere, "heuristic_expert")
+    other = counterfactual(elsewhere, "rollout_expert")
     np.testing.assert_array_equal(other.columns["agent_1.base_pose"], base[: len(other)])
     assert verify(other).equal
     assert recordings_equal(resume(other, 40), other) != []  # another uid

@@ -18,7 +18,7 @@ from sim_kinematic.contact import FclScene, MovingShapes, collide
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.social_nav import heuristic_expert, policy_by_name
+from sim_kinematic.policies.social_nav import policy_by_name, rollout_expert
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps, steps_to_find
@@ -42,7 +42,7 @@ def world(home: Scene, free: FreeSpace, seed: int = 5, **changes: object) -> Epi
 
 def ram(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """Drives straight into the person."""
-    command = heuristic_expert(view._replace(geodesic_m=100.0), spec)
+    command = rollout_expert(view._replace(geodesic_m=100.0), spec)
     return Velocity(command.forward, command.turn, "follow")
 
 
@@ -255,14 +255,14 @@ def test_the_expert_approaches_waits_and_backs_away(free: FreeSpace, lane: tuple
     a, b = lane
     spec = BaseSpec()
     towards = float(np.arctan2(-(b - a)[1], (b - a)[0]))
-    far = heuristic_expert(view(free, a, towards, b), spec)
+    far = rollout_expert(view(free, a, towards, b), spec)
     assert far.forward == pytest.approx(1.0)
     assert abs(far.turn) < 1e-6
     near = b + (a - b) / np.hypot(*(a - b)) * 1.0
-    back = heuristic_expert(view(free, near, towards, b), spec)
+    back = rollout_expert(view(free, near, towards, b), spec)
     assert back.forward < 0
     assert back.skill == "back_up"
-    away = heuristic_expert(view(free, near, towards + np.pi, b), spec)
+    away = rollout_expert(view(free, near, towards + np.pi, b), spec)
     assert away.forward == 0  # she is behind: turn first
     assert abs(away.turn) == pytest.approx(1.0)
 
@@ -280,7 +280,7 @@ def test_random_actions_are_the_same_for_the_same_seed(home: Scene, free: FreeSp
 
 
 def test_unknown_policies_are_listed() -> None:
-    with pytest.raises(InputError, match="heuristic_expert"):
+    with pytest.raises(InputError, match="rollout_expert"):
         policy_by_name("magic")
 
 

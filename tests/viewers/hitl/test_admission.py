@@ -88,5 +88,5 @@ async def five(link: str) -> list[int]:
 @pytest.mark.slow
 def test_the_server_refuses_a_fifth_seat_of_an_address_that_may_have_four(tmp_path: Path):
     options = {"tables": 20, "seats_per_address": 4}
-    with Server(tmp_path / "rec", options, episodes=20, app="social_nav", partner="heuristic_expert") as server:
+    with Server(tmp_path / "rec", options, episodes=20, app="social_nav", partner="rollout_expert") as server:
         assert asyncio.run(five(server.links[0])) == [200, 200, 200, 200, 503]

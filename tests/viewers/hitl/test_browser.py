@@ -136,7 +136,7 @@ def test_the_page_fits_small_screens_and_is_used_by_keys_alone(server: Any) -> N
 def test_follow_me_is_walked_in_front_of_the_robot(tmp_path: Path) -> None:
     from tests.viewers.hitl.server import Server
 
-    with Server(tmp_path / "out", app="social_nav", partner="heuristic_expert", scenes="small:2") as server:
+    with Server(tmp_path / "out", app="social_nav", partner="rollout_expert", scenes="small:2") as server:
         said = play("walk", server.links[0])
     assert said["walked"] > 0.3
     assert said["errorM"][1] < LOST_M

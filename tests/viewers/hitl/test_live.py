@@ -261,7 +261,7 @@ def test_follow_me(tmp_path: Path):
     game.close()
     recording = read_mcap(tmp_path / "000000.mcap")
     assert verify(recording).difference is None
-    assert recording.episode.info["policy"] == "heuristic_expert"
+    assert recording.episode.info["policy"] == "rollout_expert"
 
 
 def test_people_recorded_by_clips_walk_with_planted_feet(tmp_path: Path):
