@@ -51,8 +51,9 @@ docs: setup  ## the documentation site, offline, into build/docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
 	@echo "build/docs/index.html"
 
-check-docs: setup  ## README and docs run as written, on small data (7 minutes)
-	$(BIN)/python -m pytest -n 2 -m slow tests/product/test_docs_run.py
+check-docs: setup  ## README, docs and notebooks run as written, on small data (8 minutes)
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
+	$(BIN)/python -m pytest -n 2 -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
 
 LEROBOT := .venv-lerobot
 LEROBOT_CHECK := $(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py

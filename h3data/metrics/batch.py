@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, TypeVar
 
-from h3data.errors import InputError
+from h3data.errors import FormatError, InputError
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.metric import Metric
 from h3data.metrics.profile import Profile
@@ -60,7 +60,12 @@ class LeftOut:
 
     name: str
     """Path of the log, or ``ds#3``."""
-    error: UnmeasurableError
+    error: UnmeasurableError | FormatError
+
+    @property
+    def reason(self) -> str:
+        """The same for all episodes with the same gap; a damaged one is alone."""
+        return self.error.reason if isinstance(self.error, UnmeasurableError) else str(self.error)
 
 
 def measure_files(
@@ -72,7 +77,7 @@ def measure_files(
 ) -> MetricsTable:
     """Returns the metrics of every recording in MCAP logs, datasets, and folders of these, which are walked.
 
-    Episodes that lack agents or data that every metric needs are listed in `MetricsTable.left_out`.
+    Episodes that are damaged, or lack agents or data that every metric needs, are listed in `MetricsTable.left_out`.
 
     Args:
         paths: Files and folders.
@@ -157,15 +162,14 @@ def measure_part(part: Part, profile: str | None) -> list[Measured]:
     return measured
 
 
-def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording]]:
-    """The episodes of a part by their numbers, from a dataset with no more than the profile reads."""
+def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
+    """The episodes of a part by their numbers, from a dataset with no more than the profile reads; of damaged ones, why."""
     if part.episodes is None:
-        yield 0, only(part.source)
+        yield 0, _log(part.source)
         return
     dataset = _opened(part.source, part.job)
     for start in range(part.episodes.start, part.episodes.stop, _CHUNK):
-        chunk = range(start, min(start + _CHUNK, part.episodes.stop))
-        yield from zip(chunk, _read(dataset, chunk, profile), strict=True)
+        yield from _sound(dataset, range(start, min(start + _CHUNK, part.episodes.stop)), profile)
 
 
 def lost_part(part: Part, fault: Exception) -> list[Measured]:
@@ -185,7 +189,7 @@ def sendable(measured: EpisodeMetrics) -> EpisodeMetrics:
 
 
 def _told(left_out: LeftOut) -> tuple[str, str, str]:
-    return left_out.name, str(left_out.error), left_out.error.reason
+    return left_out.name, str(left_out.error), left_out.reason
 
 
 @lru_cache(maxsize=64)
@@ -229,11 +233,13 @@ def _counted(left_out: Iterable[LeftOut]) -> dict[str, tuple[str, ...]]:
     """Names of the episodes by the reason why they are left out."""
     reasons: dict[str, tuple[str, ...]] = {}
     for episode in left_out:
-        reasons[episode.error.reason] = (*reasons.get(episode.error.reason, ()), episode.name)
+        reasons[episode.reason] = (*reasons.get(episode.reason, ()), episode.name)
     return reasons
 
 
-def _attempt(name: str, recording: Recording, profile: str | None) -> EpisodeMetrics | LeftOut:
+def _attempt(name: str, recording: Recording | FormatError, profile: str | None) -> EpisodeMetrics | LeftOut:
+    if isinstance(recording, FormatError):
+        return LeftOut(name=name, error=recording)
     try:
         return measure(recording, profile)
     except UnmeasurableError as error:
@@ -243,7 +249,7 @@ def _attempt(name: str, recording: Recording, profile: str | None) -> EpisodeMet
 def _jobs(sources: Sequence[AnyPath], profile: str | None) -> Iterator[Callable[[], list[EpisodeMetrics | LeftOut]]]:
     for source in sources:
         if not source.is_dir():
-            yield lambda source=source: [_attempt(str(source), only(source), profile)]
+            yield lambda source=source: [_attempt(str(source), _log(source), profile)]
             continue
         dataset = open_recording(source)
         assert isinstance(dataset, Dataset)
@@ -251,7 +257,7 @@ def _jobs(sources: Sequence[AnyPath], profile: str | None) -> Iterator[Callable[
         for chunk in _chunks(dataset):
             yield lambda opened=per_thread, chunk=chunk, source=source: [
                 _attempt(f"{source}#{index}", recording, profile)
-                for index, recording in zip(chunk, _read(opened.dataset, chunk, profile), strict=True)
+                for index, recording in _sound(opened.dataset, chunk, profile)
             ]
 
 
@@ -261,6 +267,28 @@ def only(source: AnyPath) -> Recording:
     if isinstance(opened, Dataset):
         raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}")
     return opened
+
+
+def _log(source: AnyPath) -> Recording | FormatError:
+    try:
+        return only(source)
+    except FormatError as error:
+        return error
+
+
+def _sound(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[tuple[int, Recording | FormatError]]:
+    """Episodes of a dataset by their numbers; from the first damaged one on each by itself."""
+    first = chunk.start
+    try:
+        for index, recording in zip(chunk, _read(dataset, chunk, profile), strict=True):
+            yield index, recording
+            first = index + 1
+    except FormatError as error:
+        if len(chunk) == 1:
+            yield chunk.start, error
+            return
+        for index in range(first, chunk.stop):
+            yield from _sound(dataset, range(index, index + 1), profile)
 
 
 def _chunks(dataset: Dataset) -> Iterator[range]:

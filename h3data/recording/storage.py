@@ -14,6 +14,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePath, PurePosixPath
@@ -31,6 +32,8 @@ _SECRET = re.compile(
     r"([a-z][a-z0-9+.-]*:/{1,2}[^/\s:@]*:)[^\s@]+(?=@)|([?&][^=&\s]*(?:secret|key|token|password|sas)[^=&\s]*=)[^&\s#]+",
     re.I,
 )
+_DENIED = re.compile(r"ACCESS_DENIED|Access ?Denied|PERMISSION_DENIED|AuthorizationPermissionMismatch|Forbidden")
+"""How S3, Google's and Azure's stores say so, in what pyarrow passes on."""
 _URI = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/(?P<double>/?)(?P<rest>.*)", re.DOTALL)
 
 
@@ -60,7 +63,8 @@ class RemotePath:
         return f"RemotePath({str(self)!r})"
 
     def __truediv__(self, name: str | PurePath) -> RemotePath:
-        return self._at(f"{self.path}/{PurePosixPath(name)}")
+        below = PurePosixPath(name)
+        return self._at(f"{self.path}/{below}") if below.parts else self
 
     @property
     def name(self) -> str:
@@ -117,7 +121,8 @@ class RemotePath:
 
     def open_input(self) -> pa.NativeFile:
         """The file opened for random access: only the ranges read are fetched."""
-        return self.filesystem.open_input_file(self.key)
+        with _allowed("read", self):
+            return self.filesystem.open_input_file(self.key)
 
     def read_bytes(self) -> bytes:
         with self.open_input() as stream:
@@ -127,14 +132,15 @@ class RemotePath:
         """Uploads a whole file; in an object store it becomes visible when it is complete."""
         if self.scheme == "mock":
             self.filesystem.create_dir(self.parent.key)  # unlike an object store, it needs its folders
-        with self.filesystem.open_output_stream(self.key) as stream:
+        with _allowed("write", self), self.filesystem.open_output_stream(self.key) as stream:
             if isinstance(source, bytes):
                 stream.write(source)
             else:
                 shutil.copyfileobj(source, stream, _CHUNK)
 
     def unlink(self) -> None:
-        self.filesystem.delete_file(self.key)
+        with _allowed("delete", self):
+            self.filesystem.delete_file(self.key)
 
     @property
     def filesystem(self) -> pafs.FileSystem:
@@ -153,12 +159,15 @@ class RemotePath:
         return RemotePath(self.scheme, path, self.query)
 
     def _info(self) -> pafs.FileInfo:
-        return self.filesystem.get_file_info(self.key)
+        with _allowed("read", self):
+            return self.filesystem.get_file_info(self.key)
 
     def _listed(self, *, recursive: bool = True) -> list[str]:
         """Paths of files and folders below, relative to this one, sorted."""
         selector = pafs.FileSelector(self.key, recursive=recursive, allow_not_found=True)
-        return sorted(info.path[len(self.key) :].strip("/") for info in self.filesystem.get_file_info(selector))
+        with _allowed("list", self):
+            found = self.filesystem.get_file_info(selector)
+        return sorted(info.path[len(self.key) :].strip("/") for info in found)
 
 
 AnyPath = Path | RemotePath
@@ -223,7 +232,8 @@ def sizes_below(folder: AnyPath) -> dict[str, int]:
         paths = sorted(path for path in folder.rglob("*") if path.is_file())
         return {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
     selector = pafs.FileSelector(folder.key, recursive=True, allow_not_found=True)
-    found = folder.filesystem.get_file_info(selector)
+    with _allowed("list", folder):
+        found = folder.filesystem.get_file_info(selector)
     sizes = {info.path[len(folder.key) :].strip("/"): info.size for info in found if info.type == pafs.FileType.File}
     return dict(sorted(sizes.items()))
 
@@ -235,7 +245,8 @@ def remove_tree(folder: AnyPath) -> None:
     if isinstance(folder, Path):
         shutil.rmtree(folder)
     else:
-        folder.filesystem.delete_dir(folder.key)
+        with _allowed("delete", folder):
+            folder.filesystem.delete_dir(folder.key)
 
 
 def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
@@ -247,6 +258,32 @@ def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
                 (target / path.relative_to(folder)).put(stream)
     finally:
         shutil.rmtree(folder)
+
+
+@contextmanager
+def _allowed(to: str, path: RemotePath) -> Iterator[None]:
+    """What a user can mend of a store's errors, in words; all others pass.
+
+    Raises:
+        InputError: the credentials do not allow that, there is no such bucket, or nobody answers.
+    """
+    try:
+        yield
+    except OSError as error:
+        text = str(error)
+        bucket = f"{path.scheme}://{path.path.partition('/')[0]}"
+        if _DENIED.search(text):
+            raise InputError(
+                f"Access denied: no right to {to} {path}. Expected credentials that may list, read, write and delete there: "
+                "check them (AWS_PROFILE or AWS_ACCESS_KEY_ID for s3://), or choose another place."
+            ) from error
+        if "NO_SUCH_BUCKET" in text:
+            raise InputError(f"There is no bucket {bucket}. Make it, or choose another place: {path}") from error
+        if "NETWORK_CONNECTION" in text:
+            raise InputError(
+                f"The store does not answer. Check the network and the endpoint (AWS_ENDPOINT_URL for s3://): {path}"
+            ) from error
+        raise
 
 
 @lru_cache(maxsize=64)

@@ -73,6 +73,33 @@ def test_nobody_at_the_address() -> None:
         pass
 
 
+def test_where_nobody_is_at_the_address_nothing_is_written_or_deleted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("ray")
+    ds = tmp_path / "ds"
+    short = ("social_nav", "--episodes", "1", "--max-steps", "5")
+    evaluate = ("evaluate", *short, "--policies", "stand_still", "--scenes", "small")
+    assert main(["generate", *short, "-o", str(ds)]) == 0
+    assert main([*evaluate, "-o", str(tmp_path / "eval")]) == 0
+    before = sorted(tmp_path.rglob("*"))
+    capsys.readouterr()
+    for command, out in (
+        (("generate", *short), "new"),
+        (("generate", *short, "--force"), "ds"),
+        (evaluate, "new"),
+        ((*evaluate, "--force"), "eval"),
+        (("convert", ds), "new"),
+        (("rerender", f"{ds}#0", "--camera", "top_down"), "new"),
+        (("report", ds), "new.html"),
+    ):
+        target = [tmp_path / out] if command[0] == "convert" else ["-o", tmp_path / out]
+        assert main([*map(str, (*command, *target)), "--executor", "ray://127.0.0.1:1"]) == 2, command
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "There is no Ray cluster at ray://127.0.0.1:1" in line
+        assert sorted(tmp_path.rglob("*")) == before, command
+
+
 def test_a_shard_is_hardly_to_blame_for_the_death_of_its_node() -> None:
     pytest.importorskip("ray")
     from ray.exceptions import NodeDiedError, WorkerCrashedError

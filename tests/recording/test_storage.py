@@ -25,7 +25,7 @@ from h3data.recording import (
 )
 from h3data.recording.storage import RemotePath, masked, place
 from h3data_pipelines.cli import main
-from tests.object_store import bucket
+from tests.object_store import bucket, read_only
 from tests.recording.strategies import simple_recording
 
 
@@ -224,6 +224,41 @@ def test_commands_take_uris(s3: str, tmp_path: Path, capsys: pytest.CaptureFixtu
         assert main(command) == 2
         assert "only be written locally" in capsys.readouterr().err
     assert not Path("s3:").exists()
+
+
+def test_a_bucket_without_the_right_to_write(s3: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with DatasetWriter(f"{s3}/others") as out:
+        out.add(EPISODES[0])
+    with DatasetWriter(tmp_path / "ds") as out:
+        out.add(EPISODES[0])
+    generate = ("generate", "social_nav", "--episodes", "1", "--max-steps", "5", "--seed", "3", "-o")
+    with read_only():
+        assert len(Dataset(f"{s3}/others")) == 1
+        for command in (
+            (*generate, f"{s3}/denied"),
+            (*generate, f"{s3}/others", "--force"),
+            ("sync", str(tmp_path / "ds"), f"{s3}/denied"),
+            ("convert", f"{tmp_path}/ds#0", f"{s3}/denied.mcap"),
+            ("convert", str(tmp_path / "ds"), f"{s3}/denied"),
+        ):
+            assert main([*command]) == 2, command
+            (line,) = capsys.readouterr().err.splitlines()
+            assert line.startswith("error: Access denied: no right to "), line
+            assert f"{s3}/" in line
+            assert "check them (AWS_PROFILE" in line
+        assert not recordings_equal(Dataset(f"{s3}/others")[0], EPISODES[0]), "it is still there"
+
+
+def test_no_such_bucket_and_nobody_there(
+    s3: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(InputError, match=r"There is no bucket s3://elsewhere\. Make it, or choose another place"):
+        place("s3://elsewhere/x").put(b"x")  # type: ignore[union-attr] - a URI
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
+    storage._filesystem.cache_clear()
+    assert main(["metrics", f"{s3}/ds"]) == 2
+    assert "The store does not answer. Check the network and the endpoint" in capsys.readouterr().err
+    storage._filesystem.cache_clear()
 
 
 # --- credentials ------------------------------------------------------------------------------------------------------

@@ -110,20 +110,16 @@ class Convert:
 
     # --- to logs --------------------------------------------------------------------------------------------------
     def _logs(self, sources: list[StoredEpisode]) -> list[dict[str, Any]]:
-        if not self.resume:
-            claim_folder(self._out, force=self.force)
         rows: list[dict[str, Any]] = []
         parts = episode_parts([self._source], together=_TOGETHER)
-        with (
-            opened(self.executor, self.workers) as executor,
-            progress(total=len(sources), desc="convert", unit="episode") as bar,
-            closing(
-                executor.run(partial(write_logs, self), parts, lost=partial(_lost_logs, self), writes=True)
-            ) as results,
-        ):
-            for of_part in results:
-                rows += of_part
-                bar.update(len(of_part))
+        with opened(self.executor, self.workers) as executor:
+            if not self.resume:
+                claim_folder(self._out, force=self.force)
+            shards = executor.run(partial(write_logs, self), parts, lost=partial(_lost_logs, self), writes=True)
+            with progress(total=len(sources), desc="convert", unit="episode") as bar, closing(shards) as results:
+                for of_part in results:
+                    rows += of_part
+                    bar.update(len(of_part))
         return rows
 
     def target(self, source: StoredEpisode) -> AnyPath:

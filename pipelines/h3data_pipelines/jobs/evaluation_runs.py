@@ -174,33 +174,33 @@ def evaluate_task(
     folder, recordings = out / RESULTS, out / RECORDINGS
     if resume and not folder.is_dir():
         raise InputError(f"There is no evaluation to go on with; leave out --resume, or check -o: {out}")
-    claim_folder(out, force=force or folder.is_dir())  # with episodes/ it is an evaluation to go on with
-    folder.mkdir(exist_ok=True)
-    if force:
-        for file in folder.glob("[0-9]*.json"):
-            file.unlink()
-        shutil.rmtree(recordings, ignore_errors=True)
-    if keep:
-        recordings.mkdir(exist_ok=True)
-        jobs = [replace(job, keep=True) for job in jobs]
-    files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
-    kept = {job.base.index: recordings / f"{job.base.index:06d}" for job in jobs}
-    wanted = [job for job in jobs if not _is_done(files[job.base.index], job, kept[job.base.index])]
-    made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
-    bar = (progress or _Quiet)(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode")
-    with (
-        opened(executor, workers) as workforce,
-        bar,
-        closing(
-            workforce.run(play_evaluation, wanted, lost=lambda job, fault: (failed_evaluation(job, fault), []))
-        ) as results,
-    ):
-        for result, of_pairs in results:
-            index = result["job"]["episode"]["index"]
-            if keep:
-                write_recordings(of_pairs, kept[index])
-            write_text(files[index], json.dumps({**result, "created_by": made_by, "origin": origins[index]}) + "\n")
-            bar.update()
+    with opened(executor, workers) as workforce:  # first: where nobody can work, nothing is deleted or written
+        claim_folder(out, force=force or folder.is_dir())  # with episodes/ it is an evaluation to go on with
+        folder.mkdir(exist_ok=True)
+        if force:
+            for file in folder.glob("[0-9]*.json"):
+                file.unlink()
+            shutil.rmtree(recordings, ignore_errors=True)
+        if keep:
+            recordings.mkdir(exist_ok=True)
+            jobs = [replace(job, keep=True) for job in jobs]
+        files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
+        kept = {job.base.index: recordings / f"{job.base.index:06d}" for job in jobs}
+        wanted = [job for job in jobs if not _is_done(files[job.base.index], job, kept[job.base.index])]
+        made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
+        bar = (progress or _Quiet)(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode")
+        with (
+            bar,
+            closing(
+                workforce.run(play_evaluation, wanted, lost=lambda job, fault: (failed_evaluation(job, fault), []))
+            ) as results,
+        ):
+            for result, of_pairs in results:
+                index = result["job"]["episode"]["index"]
+                if keep:
+                    write_recordings(of_pairs, kept[index])
+                write_text(files[index], json.dumps({**result, "created_by": made_by, "origin": origins[index]}) + "\n")
+                bar.update()
     played = [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs]
     rows = [row for result in played for row in result["rows"]]
     result = EvaluationResult(

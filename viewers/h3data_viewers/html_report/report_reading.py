@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
+from h3data.errors import FormatError, InputError
 from h3data.metrics import Profile
 from h3data.metrics.batch import Part, part_recordings, sendable
 from h3data.metrics.registry import profile_for
@@ -43,6 +43,9 @@ def read_part(part: Part) -> Found:
     """The episodes of a part, measured by the profiles of their tasks."""
     found: Found = []
     for index, recording in part_recordings(part):
+        if isinstance(recording, FormatError):
+            found.append(Unread(_name(part, index), str(recording)))
+            continue
         info = recording.episode.info
         try:
             profile = profile_for(recording.episode.task, info)
