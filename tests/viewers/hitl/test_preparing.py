@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -13,6 +15,7 @@ from h3data_viewers.hitl.connections import Live
 from h3data_viewers.hitl.front import Front
 from h3data_viewers.hitl.live import Table
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan
+from h3data_viewers.hitl.worker import Worker
 from h3data_viewers.hitl.workers import Preparer, WorkerProcess
 from sim_kinematic.tasks.rearrange import task as rearrange
 
@@ -139,3 +142,35 @@ def test_a_game_beside_others_begins_when_the_spare_is_warm_and_has_prepared_it(
         assert plays.letters[1][2]["facts"] == MADE["facts"]
 
     asyncio.run(begin())
+
+
+def test_homes_of_the_next_episodes_are_made_one_at_a_time_while_nobody_plays(tmp_path: Path) -> None:
+    plan = PlayPlan(app="rearrange", out=str(tmp_path), partner="still", scenes="small", episodes=3)
+    worker = Worker(cast("Any", None), [plan])
+    source = worker.table(0).source
+    needed = {source.home_of(plan.seed, index) for index in range(3)}
+    ready = [sum(home.is_ready for home in source.homes) for _ in worker.homes_ahead()]
+    assert ready == list(range(1, len(needed) + 1)), "each once, and then there is nothing to do"
+
+
+def test_games_begin_one_at_a_time_and_not_while_another_is_late(tmp_path: Path) -> None:
+    worker = Worker(
+        cast("Any", None), [PlayPlan(app="rearrange", out=str(tmp_path), partner="still", scenes="small:2")]
+    )
+    begun: list[str] = []
+    worker.guarded = lambda key, act, body: begun.append(key)  # type: ignore[method-assign]
+    now = time.monotonic()
+    worker._waiting.extend((key, {}, now) for key in "abc")
+    worker.begin_next()
+    assert begun == ["a"]
+    late = SimpleNamespace(runs=True, due=now - 1)
+    worker.games["late"] = cast("Any", late)
+    worker.begin_next()
+    assert begun == ["a"], "the late one first"
+    late.due = now + 60
+    worker.begin_next()
+    assert begun == ["a", "b"]
+    late.due = now - 1
+    worker._waiting[0] = ("c", {}, now - 60)
+    worker.begin_next()
+    assert begun == ["a", "b", "c"], "nobody waits for ever"

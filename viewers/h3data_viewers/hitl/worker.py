@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -40,6 +40,10 @@ WHOLE_EVERY = 30
 """Every so many steps a state has all objects, not just those that have moved."""
 PLAN_STEPS = 6
 """To be led to a thing may take 50 ms of everybody's worker: who asks again sooner is not heard."""
+BEGIN_S = 2.0
+"""A game begins after so long even if others are late."""
+MOST_AHEAD = 12
+"""Homes of so many episodes are made before somebody plays in them."""
 REPORT_S = 1.0
 MEASURED_STEPS = 60
 HUD_S = 10.0
@@ -91,6 +95,9 @@ class Worker:
         self.stops, self.finishes = False, True
         self._reported = time.monotonic()
         self._prepared: dict[tuple[int, int], dict[str, Any]] = {}
+        self._homes_ahead = self.homes_ahead()
+        self._waiting: deque[tuple[str, dict[str, Any], float]] = deque()
+        """Games that are to begin: key, order, since when."""
 
     def table(self, number: int) -> Table:
         """The table of plan ``number``."""
@@ -139,12 +146,41 @@ class Worker:
         while not self.stops:
             now = time.monotonic()
             due = min((r.due for r in self.games.values() if r.runs), default=now + 0.5)
-            for kind, key, body in self.channel.receive(min(due - now, REPORT_S)):
-                self.guarded(key, _HANDLERS[kind], body)
+            letters = self.channel.receive(0.0 if self._waiting else min(due - now, REPORT_S))
+            for kind, key, body in letters:
+                if kind == "begin":
+                    self._waiting.append((key, body, time.monotonic()))
+                else:
+                    self.guarded(key, _HANDLERS[kind], body)
             for running in sorted(self.games.values(), key=lambda running: running.due):
                 if running.runs and running.due <= time.monotonic():
                     self.guarded(running.key, Worker.step, None)
+            if self._waiting:
+                self.begin_next()
+            elif not letters and not any(running.runs for running in self.games.values()):
+                next(self._homes_ahead, None)
             self.report()
+
+    def begin_next(self) -> None:
+        """Begins the game that has waited longest, if no other is late: it takes three steps' time, and several at once would
+        stop those that go on."""
+        now = time.monotonic()
+        key, body, since = self._waiting[0]
+        if now - since > BEGIN_S or all(not running.runs or running.due > now for running in self.games.values()):
+            del self._waiting[0]
+            self.guarded(key, Worker.begin, body)
+
+    def homes_ahead(self) -> Iterator[None]:
+        """Makes the homes of each plan's first episodes, one at a time: each takes half a second, which is free while nobody
+        plays."""
+        for number, plan in enumerate(self.plans):
+            source = self.table(number).source
+            for index in range(min(plan.episodes, MOST_AHEAD)):
+                home = source.homes[source.home_of(plan.seed, index)]
+                if not home.is_ready:
+                    with contextlib.suppress(H3DataError):  # when the episode begins, its player is told
+                        _ = home.scene, home.free
+                    yield
 
     def guarded(self, key: str, act: Callable[..., None], body: Any) -> None:
         """Does something for one game; what goes wrong there ends that game, and its log can be recovered."""
@@ -349,7 +385,6 @@ class Worker:
 
 _HANDLERS = {
     "prepare": Worker.prepare,
-    "begin": Worker.begin,
     "here": Worker.here,
     "input": Worker.input,
     "can": Worker.can,
