@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 GROUP ?=
+# a test that hangs fails after a quarter of an hour, and says where
+PYTEST := $(BIN)/python -m pytest --timeout 900
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -21,17 +23,17 @@ demo: setup  ## simulate, record, render again, measure: out/demo/
 
 # worksteal: the tests of a file stay in one process, with its homes and recordings, and nobody waits at the end
 test: setup
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(PYTEST) -n 2 --dist worksteal
 
 test-all: setup  ## the slow ones too
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not gpu and not bench"
+	$(PYTEST) -n 2 --dist worksteal -m "not gpu and not bench"
 
 test-browser: setup  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
-	$(BIN)/python -m pytest -m browser -rs
-	$(BIN)/python -m pytest -m slow -rs tests/viewers/hitl
+	$(PYTEST) -m browser -rs
+	$(PYTEST) -m slow -rs tests/viewers/hitl
 
 test-ray: setup  ## jobs on a Ray cluster of four nodes on this machine, some of which are killed
-	$(BIN)/python -m pytest -m slow -rs tests/pipelines/test_ray.py
+	$(PYTEST) -m slow -rs tests/pipelines/test_ray.py
 
 LOWEST := .venv-lowest
 LOWEST_EXTRAS := gltf collada env rays robomimic foxglove hitl sql hub frames notebook
@@ -53,7 +55,7 @@ docs: setup  ## the documentation site, offline, into build/docs
 
 check-docs: setup  ## README, docs and notebooks run as written, on small data (8 minutes)
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
-	$(BIN)/python -m pytest -n 2 -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
+	$(PYTEST) -n 2 -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
 
 LEROBOT := .venv-lerobot
 LEROBOT_CHECK := $(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py
@@ -100,7 +102,7 @@ check: setup  ## format, lint, types, layers, circles
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest tests/test_structure.py
+	$(PYTEST) tests/test_structure.py
 
 format: setup
 	$(BIN)/ruff format .

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -10,6 +12,8 @@ from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 PRISM_SIDES = 32
 """Sides of the prism that stands for a cylinder."""
+_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+"""Of a box of half extents 1."""
 
 
 def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
@@ -66,7 +70,7 @@ def shape_bounds(shape: Shape, matrix: ArrayLike) -> NDArray[np.float64]:
 def shape_corners(shape: Box | Cylinder) -> NDArray[np.float64]:
     """Returns points [N, 3] in the shape's own frame whose hull is the box, or a prism around the cylinder."""
     if isinstance(shape, Box):
-        local = np.stack(np.meshgrid(*[(-h, h) for h in shape.half_extents], indexing="ij"), -1).reshape(-1, 3)
+        local = _CORNERS * np.asarray(shape.half_extents, np.float64)
     else:
         angle = np.arange(PRISM_SIDES) * (2 * np.pi / PRISM_SIDES)
         ring = np.stack([np.cos(angle), np.zeros(PRISM_SIDES), np.sin(angle)], -1)

@@ -27,6 +27,8 @@ SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
 """A thing in which the capsule from a point so far down is, of this radius, is what lies at that point rests on."""
 FLOOR_M = 0.02
 """What lies on the floor lower than this, such as a rug, is stood on."""
+HOMES_KEPT = 64
+"""Homes whose furniture stays in FCL; a set has fewer."""
 REACH_MARGIN_M = 0.05
 """Added to the person's reach, which is taken at a number of phases and blends of each clip."""
 
@@ -76,7 +78,7 @@ class RobotHumanContact:
         return result
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=HOMES_KEPT)
 def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
     """A test whether the whole resting robot at a base pose [7] keeps out of the static things in a scene.
 
@@ -95,7 +97,7 @@ def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
     return is_clear
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=HOMES_KEPT)
 def scenery_of(scene: Scene) -> FclScene:
     """The static things of a scene in FCL, made once."""
     return FclScene(scene)

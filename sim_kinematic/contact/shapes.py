@@ -31,7 +31,7 @@ def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.
     s = np.asarray(scale, np.float64)
     if s.shape != (3,) or not np.isfinite(s).all() or (s == 0).any():
         raise InputError(f"A scale must be three finite numbers other than 0, got {s}.")
-    even = bool(np.allclose(np.abs(s), abs(s[0]), rtol=1e-6))
+    even = bool((np.abs(np.abs(s) - abs(s[0])) <= 1e-6 * abs(s[0]) + 1e-8).all())
     factor = float(np.abs(s).max())
     if isinstance(shape, Capsule):  # uneven scale: the fattest radius, so that no contact is missed
         start, end = np.asarray(shape.start) * s, np.asarray(shape.end) * s
@@ -48,7 +48,7 @@ def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.
     )  # D R B of a box or cylinder B is (D R D) B, for it is its own mirror image; D R D is a rotation
     matrix[:3, :3] *= mirror[:, None] * mirror[None, :]
     if isinstance(shape, Box):
-        straight = bool(np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9))
+        straight = bool((np.abs(matrix[:3, :3] - np.eye(3)) <= 1e-5 * np.eye(3) + 1e-9).all())
         if even or straight:
             size = 2 * np.asarray(shape.half_extents, np.float64) * np.abs(s)
             return fcl.Box(*size.tolist()), matrix

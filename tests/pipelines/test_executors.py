@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import socket
 import sys
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,7 @@ from h3data_pipelines.execution import ray_cluster, ray_worker
 from h3data_pipelines.execution.executors import check_workers, opened
 from h3data_pipelines.execution.processes import Processes
 from h3data_pipelines.execution.ray_worker import Origin, carry_out, portable_task
+from h3data_pipelines.execution.shards import LostShardError
 
 
 def square(number: int) -> int:
@@ -45,6 +48,25 @@ def test_one_process_and_two_give_the_same_in_order() -> None:
     assert list(Processes(2).run(square, numbers)) == expected
     with pytest.raises(InputError, match="bad luck"):
         list(Processes(2).run(square, range(20)))
+
+
+def mortal(folder: Path, number: int) -> int:
+    """Dies at 3 the first time, and at 7 always."""
+    if number == 7 or (number == 3 and not (folder / "died").exists()):
+        (folder / "died").touch()
+        os._exit(9)
+    return square(number)
+
+
+def test_a_process_that_dies_costs_its_shard_only(tmp_path: Path) -> None:
+    run = partial(Processes(2).run, partial(mortal, tmp_path), range(12))
+    faults = []
+    results = list(run(lost=lambda number, fault: faults.append((number, str(fault))) or -1))
+    assert results == [-1 if n == 7 else n * n for n in range(12)]
+    assert faults == [(7, "No process survived it in 3 tries, perhaps for lack of memory")]
+    assert (tmp_path / "died").exists()
+    with pytest.raises(LostShardError, match="perhaps for lack of memory"):
+        list(run())
 
 
 def test_without_ray_the_extra_is_named(

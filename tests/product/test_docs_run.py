@@ -40,6 +40,7 @@ NOT_RUN = {
     "gpu.md": "needs a CUDA device; tests marked gpu run its calls",
     "index.md": "shows commands of README",
     "headset.md": "needs a headset; tests/viewers/hitl/test_browser.py plays in an emulated one",
+    "first-study.md": "its commands wait for players; tests/viewers/hitl/studies takes part",
     "play.md": "its commands wait for players; tests/viewers/hitl plays them",
     "study.md": "its commands wait for participants; tests/viewers/hitl/studies takes part",
 }
@@ -78,7 +79,9 @@ ASSUMED: dict[str, str] = {
     + "from h3data.render import pinhole\ncameras = [pinhole(64, 48, hfov_deg=60)] * 3\n"
     + "origins, directions = np.ones((4, 3)), np.eye(3)[[0, 1, 2, 0]]\n"
     + "robot_eye, person_head = np.ones((1, 3)), np.ones((1, 3)) * 2\n"
-    + "mask = None\n",
+    + "mask = None\nfrom h3data.scene import HomeSpec, build_home\nhome = build_home(HomeSpec(preset='small', seed=3))\n"
+    + "from h3data.render.sheets.scene_map import render_scene\ninstances = render_scene(home).instances\n"
+    + "meshes = render_scene(home).meshes\nstatic = range(len(instances))\n",
     "rerender.md": 'import h3data\nh3data.rerender("episode.mcap", "training", camera=["robot_arm"], outputs="rgb,depth",'
     + ' format="data", steps="0:9")\n',
     "rearrangement.md": "from sim_kinematic.policies.views import *\nAction = RearrangeView = object\n",
@@ -172,7 +175,10 @@ def expanded(word: str) -> list[str]:
 def shortened(words: list[str]) -> list[str]:
     """A command that takes seconds instead of hours and does the same."""
     match words:
-        case ["generate" | "evaluate", *_] if "--dry-run" not in words:
+        case ["generate" | "evaluate", *_] if "--dry-run" in words:
+            if "--save-episodes" in words:  # it draws them
+                words = [*_without(words, "--episodes"), "--episodes", "5"]
+        case ["generate" | "evaluate", *_]:
             episodes = {"generate": "5", "evaluate": "1"}[words[0]]
             words = [*_without(words, "--episodes", "--workers"), "--episodes", episodes]
             words += [] if "rearrange" in words else ["--max-steps", "20"]
@@ -181,9 +187,15 @@ def shortened(words: list[str]) -> list[str]:
             words += ["--scenes", "h3-homes/train#0", "--worlds", "4", "--updates", "1"]
         case ["demo", *_]:
             words = [*words, "--steps", "450"]
-        case ["scenes", "validate", *_]:
+        case ["scenes", "validate" | "list", *_]:
             words = [*_without(words, "--homes"), "--homes", "1"] if "--homes" in words else words
+            words = [re.sub(r"^(h3-homes/\w+)$", r"\1#0", word) for word in words]
     return words
+
+
+def redirected(words: list[str]) -> tuple[list[str], Path | None]:
+    """A command without ``> FILE``, and that file."""
+    return (words[:-2], Path(words[-1])) if words[-2:-1] == [">"] else (words, None)
 
 
 def _without(words: list[str], *options: str) -> list[str]:
@@ -213,7 +225,9 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.usefixtures("hub")
 @pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")  # huggingface_hub's own
 @pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
-def test_page_runs_as_written(page: Path, stage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_runs_as_written(
+    page: Path, stage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     here = tmp_path / "here"
     shutil.copytree(stage, here)
     monkeypatch.chdir(here)
@@ -230,9 +244,12 @@ def test_page_runs_as_written(page: Path, stage: Path, tmp_path: Path, monkeypat
             exec(compile(text, page.name, "exec"), names)
             continue
         for line in lines_of(text):
-            words = [found for word in shlex.split(line) for found in expanded(word)]
+            words, output = redirected([found for word in shlex.split(line) for found in expanded(word)])
             if words[:1] == ["h3data"] and not any(absent in line for absent in ABSENT):
                 words = shortened(words[1:])
                 if "-o" in words and words[0] in ("generate", "demo", "evaluate", "train"):
                     shutil.rmtree(words[words.index("-o") + 1], ignore_errors=True)
+                capsys.readouterr()
                 assert main(words) == 0, line
+                if output:
+                    output.write_text(capsys.readouterr().out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import threading
@@ -12,13 +13,17 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from h3data.errors import H3DataError
 from h3data_pipelines.execution.shards import LostShardError, R, S
 
+_log = logging.getLogger(__name__)
+
+TRIES = 3
+"""Times that a shard is begun before it is given up, when its process dies each time."""
 _AHEAD = 4
 """Shards that are under way or wait to be fetched, per worker: memory stays bounded while an early one takes long."""
 
@@ -46,33 +51,65 @@ class Processes:
         lost: Callable[[S, LostShardError], R] | None = None,
         writes: bool = False,
     ) -> Generator[R]:
-        """As `Executor.run`. A process that dies ends the job: on one machine it was most likely memory, and will be again."""
+        """As `Executor.run`. When a process dies, each shard that was under way is tried again with the machine to itself."""
         if self.workers <= 1 or len(shards) <= 1:
             yield from map(work, shards)
             return
-        # spawn: forked children would share the thread pools of numba and torch
-        context = get_context("spawn")
-        gate, opener = context.Pipe(duplex=False)  # workers leave when the other end closes
-        count = min(self.workers, len(shards), os.cpu_count() or 1)
-        pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(gate,))
-        waiting: deque[Future[R]] = deque()
+        count = min(self.workers, len(shards), core_count())
+        done: dict[int, R] = {}
+        given = 0
+        while given < len(shards):
+            waiting: deque[tuple[int, Future[R]]] = deque()
+            try:
+                with _pool(count) as pool:
+                    left = iter([k for k in range(given, len(shards)) if k not in done])
+                    while given < len(shards):
+                        for k in islice(left, _AHEAD * count - len(waiting)):
+                            with _ctrl_c_held():  # workers inherit that, for as long as they live
+                                waiting.append((k, pool.submit(partial(_at_work, work), shards[k])))
+                        if given not in done:
+                            done[given] = waiting[0][1].result()
+                            waiting.popleft()
+                        yield done.pop(given)
+                        given += 1
+            except BrokenProcessPool:
+                done |= {
+                    k: future.result() for k, future in waiting if not future.cancelled() and future.exception() is None
+                }
+                suspects = [k for k, _ in waiting if k not in done][:count]  # shards are begun in their order
+                _log.warning("a worker process died: its shard is tried again, alone")
+                for k in suspects:
+                    done[k] = _alone(work, shards[k], lost)
+
+
+@contextmanager
+def _pool(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that leave at once when the block ends, whatever they are at."""
+    context = get_context("spawn")  # forked children would share the thread pools of numba and torch
+    gate, opener = context.Pipe(duplex=False)  # workers leave when the other end closes
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(gate,))
+    try:
+        yield pool
+    finally:
+        opener.close()  # waiting for shards under way would hold up Ctrl-C for seconds
+        pool.shutdown(cancel_futures=True)
+        gate.close()
+
+
+def _alone(work: Callable[[S], R], shard: S, lost: Callable[[S, LostShardError], R] | None) -> R:
+    """The result of a shard that may have ended a process, by another that has the machine to itself."""
+    for _ in range(TRIES - 1):
         try:
-            for shard in shards:
-                with _ctrl_c_held():  # workers inherit that, for as long as they live
-                    waiting.append(pool.submit(partial(_at_work, work), shard))
-                if len(waiting) >= _AHEAD * count:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
+            with _pool(1) as pool:
+                with _ctrl_c_held():
+                    future = pool.submit(partial(_at_work, work), shard)
+                return future.result()
         except BrokenProcessPool:
-            raise H3DataError(
-                "A worker process died, perhaps for lack of memory. What is finished is kept: go on with --resume and "
-                "fewer --workers."
-            ) from None
-        finally:
-            opener.close()  # waiting for shards under way would hold up Ctrl-C for seconds
-            pool.shutdown(cancel_futures=True)
-            gate.close()
+            continue
+    fault = LostShardError(f"No process survived it in {TRIES} tries, perhaps for lack of memory")
+    if lost is None:
+        raise fault
+    return lost(shard, fault)
 
 
 @contextmanager
