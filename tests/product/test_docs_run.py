@@ -40,7 +40,6 @@ NOT_RUN = {
     "gpu.md": "needs a CUDA device; tests marked gpu run its calls",
     "index.md": "shows commands of README",
     "headset.md": "needs a headset; tests/viewers/hitl/test_browser.py plays in an emulated one",
-    "first-study.md": "its commands wait for players; tests/viewers/hitl/studies takes part",
     "play.md": "its commands wait for players; tests/viewers/hitl plays them",
     "study.md": "its commands wait for participants; tests/viewers/hitl/studies takes part",
 }
@@ -51,6 +50,7 @@ ABSENT = {
     "replica_cad": "ReplicaCAD",
     "s3://": "a bucket; tests/recording and tests/pipelines use a stand-in",
     "--executor ray": "a Ray cluster; tests/pipelines/test_ray.py has one",
+    "h3data play": "waits for players; tests/viewers/hitl plays it",
     "bodies bake": "the extra bodies",
     "flat.navmesh": "a navmesh of Habitat; tests/habitat/navmesh runs these calls",
     "female_0_motion_data_smplx.pkl": "Habitat's motion of a person; tests/bodies/motion runs these calls",

@@ -102,6 +102,24 @@ def test_a_killed_front_loses_no_seat(tmp_path: Path):
     assert not (out / JOURNAL).exists(), "all has been played"
 
 
+async def starter_is_gone(server: Server) -> None:
+    async with Bot(server.links[0]) as bot:
+        assert await bot.sit() == 200
+        await bot.connect()
+        await walk(bot, 1.0)
+        assert server.process.stdin is not None
+        server.process.stdin.close()
+        assert await asyncio.to_thread(server.process.wait, 20) == 0
+
+
+def test_a_server_ends_with_whoever_started_it(tmp_path: Path):
+    """Its stdin ends when that process closes it or is killed."""
+    out = tmp_path / "rec"
+    with Server(out) as server:
+        asyncio.run(starter_is_gone(server))
+    assert verify(read_mcap(out / "000000.mcap")).difference is None
+
+
 async def besieged(server: Server, seconds: float) -> dict[str, int]:
     async with Bot(server.links[0]) as first, Bot(server.links[0]) as second:
         for bot in (first, second):

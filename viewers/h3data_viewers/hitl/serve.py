@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import signal
 import ssl
 import sys
@@ -66,6 +67,8 @@ async def serve(options: ServeOptions, report: Any) -> int:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, stops.set)
+    with contextlib.suppress(OSError):  # a file
+        loop.add_reader(sys.stdin, _hear, stops)
     is_local = options.host in LOOPBACK
     given = {
         "workers": options.workers, "open_door": is_local, "secure": bool(options.cert) or options.behind_proxy,
@@ -96,6 +99,13 @@ async def serve(options: ServeOptions, report: Any) -> int:
             await runner.cleanup()
         front.journal.close(done=front.done.is_set())
     return 0
+
+
+def _hear(stops: asyncio.Event) -> None:
+    """Nobody says anything after the options: what ends stdin is that whoever started this process is gone."""
+    if not os.read(sys.stdin.fileno(), 4096):
+        asyncio.get_running_loop().remove_reader(sys.stdin)
+        stops.set()
 
 
 async def _listen(front: Front, runner: web.AppRunner, options: ServeOptions, report: Any) -> None:
