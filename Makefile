@@ -53,7 +53,7 @@ docs: setup  ## the documentation site, offline, into build/docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
 	@echo "build/docs/index.html"
 
-check-docs: setup  ## README, docs and notebooks run as written, on small data (8 minutes)
+check-docs: setup  ## README, docs and notebooks run as written, on small data (5 minutes)
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
 	$(PYTEST) -n 2 -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
 
