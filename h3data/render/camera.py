@@ -44,6 +44,16 @@ class Camera:
         """The same camera at another pose [4, 4], camera to world."""
         return replace(self, pose=np.asarray(pose, np.float64))
 
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera with pictures of another size [px]: its horizontal field of view and axis stay, pixels stay square
+        if they are; an equirectangular one keeps both fields of view."""
+        across = width / self.width
+        down = height / self.height if self.projection == "equirectangular" else across
+        cy = height / 2 + (self.cy - self.height / 2) * down
+        return replace(
+            self, width=width, height=height, fx=self.fx * across, fy=self.fy * down, cx=self.cx * across, cy=cy
+        )
+
     def __repr__(self) -> str:
         view = f"hFOV {self.hfov_deg:.1f} deg"
         if self.projection == "orthographic":

@@ -100,6 +100,10 @@ class CameraTrack:
         camera = self.camera.at(self.poses[min(step, len(self.poses) - 1)])
         return camera if self.nears is None else replace(camera, near=float(self.nears[step]))
 
+    def resized(self, width: int, height: int) -> CameraTrack:
+        """The same with pictures of another size [px]; see `Camera.resized`."""
+        return replace(self, camera=self.camera.resized(width, height))
+
 
 def forward_fill(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows [T, n] with rows that contain NaN (absent agents) replaced by the last finite row, or the first at the start.

@@ -43,10 +43,12 @@ AROUND_S = 8.0
 """`third_person_at` considers steps within this time; with 5 s the camera was up to 0.7 m off, with 8 s it never was."""
 TURN_COST = 1.2
 """Cost of turning by one radian between two keys, squared; scores are about 1."""
-HIDDEN = ("ceiling",)
-"""Layers that are neither rendered nor regarded as obstacles."""
-OFF_AXIS_RAD = 0.3
+OFF_AXIS_RAD = 0.5
 """Largest angle between the optical axis and the followed agent."""
+TOGETHER_RAD, APART_RAD = 1.0, 1.5
+"""Up to the first angle between them both agents are in the picture; beyond the second the other one is left out."""
+TOGETHER_M, APART_M = 6.0, 9.0
+"""The same for the distance between them."""
 JUMP_M, JUMP_MPS = 0.5, 8.0
 """The camera cuts where the agent moves by more than both limits in one step; elsewhere it moves smoothly."""
 
@@ -84,7 +86,7 @@ def third_person_at(
 
 
 def _lens(width: int, height: int) -> Camera:
-    return pinhole(width, height, hfov_deg=75, name="third_person", hidden_layers=HIDDEN)
+    return pinhole(width, height, hfov_deg=75, name="third_person")
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +137,7 @@ def _scene(replay: Replay, leader: int | None) -> _Scene:
     bodies = np.stack([b[:, [0, 2]] for b in bodies], axis=1) if bodies else np.zeros((len(base), 0, 2))
     moved = np.linalg.norm(np.diff(pivot, axis=0), axis=1)
     cuts = np.flatnonzero(moved > max(JUMP_M, JUMP_MPS * dt)) + 1
-    sight = Sight(replay, hidden_layers=HIDDEN)
+    sight = Sight(replay)
     return _Scene(sight, pivot, watched, person is not None, bodies, dt, np.split(np.arange(len(base)), cuts))
 
 
@@ -166,6 +168,7 @@ def _follow(
         if two:
             eyes = pivot[key] + directions * boom[row, :, None]
             score[row] += sight.sees(sight.around(watched[key]), watched[key], eyes)
+            score[row] -= _lost(_angle(-directions, watched[key] - eyes)) * (1 - _far(pivot[key], watched[key]))
     boom = minimum_filter1d(boom, 3, axis=0, mode="nearest")
     score += 1.5 * boom / BOOM_M - 2.0 * np.maximum(1 - boom / CLOSE_M, 0.0) + np.repeat(ELEVATION_SCORE, DIRECTIONS)
     path = _best_path(score, azimuth, elevation)
@@ -184,13 +187,14 @@ def _follow(
     length = np.maximum(np.convolve(length, window / window.sum(), mode="valid"), NEAREST_M)
     eye = pivot + direction * length[:, None]
 
-    target = pivot
+    view = normalized(pivot - eye)
     if two:
-        gap = np.linalg.norm((watched - pivot)[:, [0, 2]], axis=-1, keepdims=True)
-        weight = 0.5 * np.clip((5.0 - gap) / 2.0, 0.0, 1.0)
-        target = pivot * (1 - weight) + (watched - (0.0, 0.5, 0.0)) * weight
-    target = gaussian_filter1d(target, stride, axis=0, mode="nearest")
-    view = _towards(pivot - eye, target - eye)
+        other = normalized(watched - (0.0, 0.5, 0.0) - eye)
+        apart = _angle(view, other)
+        share = 0.5 * (1 - _lost(apart)) * (1 - _far(pivot, watched))
+        turn = gaussian_filter1d(np.minimum(share * apart, OFF_AXIS_RAD), 2 * stride, mode="nearest")
+        view = _towards(view, other, np.minimum(turn, apart))
+    view = normalized(gaussian_filter1d(view, stride, axis=0, mode="nearest"))
     poses = np.stack([look_at(e, e + v) for e, v in zip(eye[wanted], view[wanted], strict=True)])
     hidden = np.maximum(length - free, 0.0)
     for row in wanted:
@@ -220,15 +224,26 @@ def _direction(azimuth: Array, elevation: Array) -> Array:
     return np.stack([flat[..., 0], np.sin(elevation), flat[..., 1]], axis=-1)
 
 
-def _towards(start: Array, end: Array) -> Array:
-    """Unit directions [T, 3] of ``start``, turned towards ``end`` by at most `OFF_AXIS_RAD`."""
-    start, end = normalized(start), normalized(end)
-    cosine = np.clip(np.einsum("ti,ti->t", start, end), -1.0, 1.0)[:, None]
-    side = end - cosine * start
-    length = np.linalg.norm(side, axis=1, keepdims=True)
-    side = np.divide(side, length, out=np.zeros_like(side), where=length > 1e-9)
-    angle = np.minimum(np.arccos(cosine), OFF_AXIS_RAD)
-    return start * np.cos(angle) + side * np.sin(angle)
+def _angle(start: Array, end: Array) -> NDArray[np.float64]:
+    """Angles [...] between directions [..., 3] [rad]."""
+    return np.arccos(np.clip(np.einsum("...i,...i->...", normalized(start), normalized(end)), -1.0, 1.0))
+
+
+def _lost(angle: Array) -> Array:
+    """0 where both agents fit into the picture, 1 where they do not, by the angle between them [rad]."""
+    return np.clip((angle - TOGETHER_RAD) / (APART_RAD - TOGETHER_RAD), 0.0, 1.0)
+
+
+def _far(pivot: Array, watched: Array) -> Array:
+    """0 where the agents [..., 3] are near each other, 1 where they have nothing to do with each other."""
+    gap = np.linalg.norm((watched - pivot)[..., [0, 2]], axis=-1)
+    return np.clip((gap - TOGETHER_M) / (APART_M - TOGETHER_M), 0.0, 1.0)
+
+
+def _towards(start: Array, end: Array, angle: Array) -> Array:
+    """Unit directions ``start`` [T, 3], turned towards ``end`` by an angle [T] [rad]."""
+    side = normalized(end - np.einsum("ti,ti->t", start, end)[:, None] * start)
+    return start * np.cos(angle)[:, None] + side * np.sin(angle)[:, None]
 
 
 def _best_path(score: Array, azimuth: Array, elevation: Array) -> NDArray[np.intp]:

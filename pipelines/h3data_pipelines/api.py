@@ -203,6 +203,8 @@ def rerender(
     assets: Sequence[AnyPath] = (),
     steps: str = "",
     format: Literal["mp4", "av1", "png", "data"] = "mp4",
+    size: str = "",
+    samples: Literal[1, 4] | None = None,
     workers: int | None = None,
     executor: str = "local",
     force: bool = False,

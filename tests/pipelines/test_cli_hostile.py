@@ -167,15 +167,28 @@ def test_workers_make_the_same_episodes(tmp_path: Path, capsys: pytest.CaptureFi
         assert recordings_equal(a, b) == []
 
 
-def die(*_: object, **__: object) -> None:
-    os._exit(9)
+FILM = episode_jobs.film_job
 
 
-def test_a_dead_worker_is_one_line(
+def die_at_the_second(job: episode_jobs.Job, filming: episode_jobs.Filming) -> episode_jobs.Filmed:
+    if job.index == 1:
+        os._exit(9)
+    return FILM(job, filming)
+
+
+def test_an_episode_that_kills_its_worker_has_failed_and_the_others_are_played(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(episode_jobs, "film_job", die)
-    assert "worker" in run_json(capsys, *SHORT, tmp_path / "ds", "--workers", "2", code=2)["error"]
+    monkeypatch.setattr(episode_jobs, "film_job", die_at_the_second)
+    data = run_json(capsys, *SHORT, tmp_path / "ds", "--episodes", "3", "--workers", "2", code=1)
+    (line,) = data["failed"]
+    assert "000001" in line
+    assert "No process survived it" in line
+    monkeypatch.undo()
+    run_json(capsys, *SHORT, tmp_path / "whole", "--episodes", "3")
+    for i in (0, 2):
+        a, b = (h3data.open(tmp_path / n).recording(i) for n in ("ds", "whole"))
+        assert recordings_equal(a, b) == []
 
 
 def children(pid: int) -> list[int]:

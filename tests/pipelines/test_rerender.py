@@ -119,6 +119,35 @@ def test_what_is_complete_is_kept(episode: Path, tmp_path: Path, capsys: pytest.
     assert len(json.loads(Path(first["cameras"]).read_text())["cameras"]["near"]["steps"]) == 7
 
 
+def test_pictures_of_another_size_with_smooth_edges(
+    episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Videos to look at have four samples a pixel, data one; either can be had of both."""
+    options = (episode, "--camera", "robot_arm", "--size", "112x64", "--steps", "3")
+    colours = {}
+    for name, more in (
+        ("video", ()), ("rough", ("--samples", 1)), ("png", ("--format", "png")),
+        ("smooth", ("--format", "png", "--samples", 4)),
+    ):  # fmt: skip
+        log = rerender(capsys, *options, *more, "-o", tmp_path / name)["recordings"][0]
+        assert json.loads(Path(log["cameras"]).read_text())["cameras"]["robot_arm"]["width"] == 112
+        with av.open(
+            str(
+                tmp_path / name / "walk.robot_arm.rgb.mp4"
+                if "png" not in more
+                else next(tmp_path.glob(f"{name}/*/*.png"))
+            )
+        ) as container:
+            (frame,) = container.decode(video=0)
+            colours[name] = frame.to_ndarray(format="rgb24").astype(int)
+        assert colours[name].shape == (64, 112, 3)
+    apart = {name: np.abs(colours[name] - colours["smooth"]).mean() for name in ("video", "rough")}
+    assert apart["video"] < apart["rough"]
+    assert np.abs(colours["png"] - colours["smooth"]).max() > 20
+    for bad in ("112", "0x64", "112x99999", "-1x2"):
+        assert "size such as 1280x720" in rerender(capsys, *options[:-3], bad, "-o", tmp_path / "no", code=2)["error"]
+
+
 @pytest.mark.slow
 def test_killed_at_any_time_it_goes_on(episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Only .part files and complete ones are there after a kill; the next run ends with what an undisturbed one makes."""

@@ -49,6 +49,19 @@ CAMERAS = [
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.projection)
+def test_pictures_of_another_size_show_the_same(camera: Camera):
+    """Twice as large, every point is twice as far from the corner; wider, it keeps its place across."""
+    points = np.random.default_rng(0).uniform((-1, -1, 1.5), (1, 1, 3.5), (20, 3))
+    pixels, _ = camera.project(points)
+    larger, wider = camera.resized(2 * camera.width, 2 * camera.height), camera.resized(camera.width, 30)
+    np.testing.assert_allclose(larger.project(points)[0], 2 * pixels, atol=1e-9)
+    np.testing.assert_allclose(wider.project(points)[0][:, 0], pixels[:, 0], atol=1e-9)
+    assert (wider.height, wider.hfov_deg) == (30, camera.hfov_deg)
+    middle, _ = wider.project([[0, 0, 2.0]])
+    np.testing.assert_allclose(middle, [[camera.width / 2, 15]], atol=1e-9)
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.projection)
 def test_points_on_the_ray_of_a_pixel_appear_in_its_centre(camera: Camera):
     camera = camera.at(look_at([1, 2, 3], [0.5, 1.7, -2]))
     start, directions = camera.rays()

@@ -45,12 +45,25 @@ def speed_past_agent(replay: Replay) -> float:
     return float(np.linalg.norm(np.diff(offset, axis=0), axis=1).max() / DT)
 
 
+def share_of_the_other(replay: Replay, *, within_m: float) -> float:
+    """Share of the steps at which the person, who is near the robot, has their chest in the picture."""
+    track = camera_track(replay, "third_person")
+    robot, person = (replay.recording.agent_column(k, "base_pose")[:, :3].astype(float) for k in (0, 1))
+    near = np.flatnonzero(np.linalg.norm(robot - person, axis=1) < within_m)
+    found = [track.at(step).project(person[[step]] + (0.0, 1.1, 0.0)) for step in near]
+    size = track.camera.width, track.camera.height
+    return float(np.mean([depth[0] > 0 and ((pixel > 0) & (pixel < size)).all() for pixel, depth in found]))
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_the_agent_is_seen_in_generated_homes(seed: int) -> None:
     spec = SocialNavSpec(max_steps=150, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
     replay = Replay(simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=seed)), seed=seed, spec=spec)))
     assert (seen_px(replay, 3) > SEEN_PX).mean() > 0.99
     assert speed_past_agent(replay) < FASTER_MPS
+    assert share_of_the_other(replay, within_m=2.5) > 0.6
+    heights = camera_track(replay, "third_person").poses[:, 1, 3]
+    assert heights.max() < 2.5, "it stays below the ceiling, which is drawn"
 
 
 @pytest.mark.parametrize(

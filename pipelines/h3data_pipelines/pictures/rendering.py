@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ def render_files(
     steps: range,
     threads: int = 2,
     annotate: bool = True,
+    samples: Literal[1, 4] = 1,
     description: str = "render",
 ) -> None:
     """Renders ``steps`` from every camera into its targets.
@@ -53,7 +54,7 @@ def render_files(
             return [sink.prepare(pictures[n][output], step) for n, output, sink in sinks]
 
         frames = replay.stage.frames(
-            [track for track, _ in views], steps, outputs=outputs, threads=threads, then=prepare
+            [track for track, _ in views], steps, outputs=outputs, samples=samples, threads=threads, then=prepare
         )
         for _, prepared in progress(frames, total=len(steps), desc=description, unit="frame"):
             for encoder, frame in zip(encoders, prepared, strict=True):

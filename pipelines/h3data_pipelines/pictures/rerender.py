@@ -10,7 +10,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -38,6 +38,9 @@ from h3data_pipelines.pictures.rendering import frames_per_second, render_files
 
 if TYPE_CHECKING:
     from h3data.render import Output
+
+
+MAX_SIDE_PX = 8192
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +81,10 @@ class Rerender:
     format: Format = "mp4"
     """mp4 (H.264) or av1: videos for viewing. png: images, depth as 16-bit millimetres, ids as 16-bit id + 1.
     data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
+    size: str = ""
+    """Size of the pictures such as 1280x720 (default: the camera's own). Its horizontal field of view stays."""
+    samples: Literal[1, 4] | None = None
+    """Samples of colour per pixel: 4 smooths edges (default: 4 for mp4 and av1, 1 for png and data)."""
     people: PeopleOption = "skin"
     light: LightOption = "baked"
     workers: int | None = None
@@ -89,6 +96,7 @@ class Rerender:
 
     def run(self) -> Outcome:
         parse_outputs(self.outputs)
+        parse_size(self.size)
         local(self.out)
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap).")
@@ -118,6 +126,10 @@ class Rerender:
         )
         return Outcome(text="\n".join(lines), data={"recordings": rows}, result=result, exit_code=1 if failed else 0)
 
+    @property
+    def _samples(self) -> Literal[1, 4]:
+        return self.samples or (4 if self.format in ("mp4", "av1") else 1)
+
     def _rendered(self, shards: Sequence[Shard], stack: ExitStack) -> Iterator[RenderedShard]:
         """All recordings in order: one after the other by threads of this process, or side by side by Ray."""
         work = partial(render_shard, self, alone=len(shards) == 1)
@@ -136,6 +148,8 @@ class Rerender:
         light = self.light if "rgb" in outputs else "flat"  # nothing else shows it
         replay = Replay(open_episode(path), assets=self.assets, people=self.people, light=light)
         tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
+        if size := parse_size(self.size):
+            tracks = [track.resized(*size) for track in tracks]
         names = [track.camera.name for track in tracks]
         if len(set(names)) < len(names):
             raise InputError("Two cameras have the same name, so their files would overwrite each other.")
@@ -148,7 +162,7 @@ class Rerender:
             return [f"would write {file}, {counted(len(steps), 'frame')}" for file in files] + missing_lines(
                 replay
             ), row
-        log = CameraLog(self.out, stem, replay, steps)
+        log = CameraLog(self.out, stem, replay, steps, samples=self._samples)
         views = [
             (track, [Target.named(self.out, stem, track.camera.name, output, self.format) for output in outputs])
             for track in tracks
@@ -166,6 +180,7 @@ class Rerender:
                         [(track, targets)],
                         steps=steps,
                         threads=self.workers or core_count(),
+                        samples=self._samples,
                         description=f"{counter}{stem} {track.camera.name}",
                     )
                     log.add(track, targets, fps=frames_per_second(replay, steps))
@@ -276,6 +291,17 @@ def parse_outputs(text: str) -> tuple[Output, ...]:
     if unknown or not names:
         raise InputError(f"Unknown outputs {unknown or text!r}. Expected some of: {', '.join(OUTPUTS)}.")
     return tuple(dict.fromkeys(names))  # type: ignore[arg-type]
+
+
+def parse_size(text: str) -> tuple[int, int] | None:
+    """Parses ``"1280x720"`` as width and height [px]; None if empty."""
+    if not text:
+        return None
+    sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    size = tuple(map(int, sides.groups())) if sides else (0, 0)
+    if not all(1 <= side <= MAX_SIDE_PX for side in size):
+        raise InputError(f"Expected a size such as 1280x720, of at most {MAX_SIDE_PX} pixels a side, got {text!r}.")
+    return size[0], size[1]
 
 
 def parse_steps(text: str, count: int) -> range:

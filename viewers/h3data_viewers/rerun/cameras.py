@@ -60,9 +60,7 @@ def rendered_feed(replay: Replay, name: str) -> CameraFeed:
 
 def scaled(camera: Camera, factor: float) -> Camera:
     """Returns a camera with the same view whose images are ``factor`` times as large, at least 1x1 pixel."""
-    scaled_intrinsics = {name: getattr(camera, name) * factor for name in ("fx", "fy", "cx", "cy")}
-    width, height = (max(round(side * factor), 1) for side in (camera.width, camera.height))
-    return replace(camera, width=width, height=height, **scaled_intrinsics)
+    return camera.resized(*(max(round(side * factor), 1) for side in (camera.width, camera.height)))
 
 
 def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> str:
