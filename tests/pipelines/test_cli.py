@@ -72,7 +72,7 @@ def test_demo_makes_everything(demo: Path) -> None:
 def test_demo_videos_play(demo: Path) -> None:
     import av
 
-    for name, size in (("third_person", (1280, 720)), ("arm_depth", (224, 171))):
+    for name, size in (("third_person", (640, 480)), ("arm_depth", (224, 171))):
         with av.open(str(demo / f"{name}.mp4")) as container:
             stream = container.streams.video[0]
             assert stream.codec_context.name == "h264"

@@ -139,15 +139,10 @@ def _videos(recording: Recording, out: Path, light: LightMode) -> dict[str, Path
     for output in ("rgb", "depth"):
         names = [name for name, (_, kind) in wanted.items() if kind == output]
         tracks = [camera_track(replay, wanted[name][0]) for name in names]
-        tracks = [t if t.camera.name != "third_person" else t.resized(*THIRD_PERSON_PX) for t in tracks]
         targets = [Target(output, "h264", out / f"{name}.mp4") for name in names]
         views = [(track, [target]) for track, target in zip(tracks, targets, strict=True)]
-        every = range(len(recording))
-        render_files(replay, views, steps=every, threads=core_count(), samples=4, description=f"render {output}")
+        render_files(replay, views, steps=range(len(recording)), threads=core_count(), description=f"render {output}")
     return {wanted[name][0]: out / f"{name}.mp4" for name in wanted}
-
-
-THIRD_PERSON_PX = 1280, 720
 
 
 @dataclass
