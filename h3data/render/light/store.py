@@ -44,13 +44,14 @@ def cached(
     if folder is None:
         return build()
     path = folder / f"{_key(meshes, matrices, names, sources, light)}.npz"
-    if path.is_file():
-        try:
-            baked = _load(path, meshes)
-            os.utime(path)
-            return baked
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, SceneError) as fault:
-            log.warning("Cached light is broken and is computed again (%s): %s", fault, path)
+    try:
+        baked = _load(path, meshes)
+        os.utime(path)
+        return baked
+    except FileNotFoundError:
+        pass  # there is none yet, or another process has just removed it
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, SceneError) as fault:
+        log.warning("Cached light is broken and is computed again (%s): %s", fault, path)
     baked = build()
     if baked is not None:
         try:

@@ -58,6 +58,8 @@ def load(path: Path) -> tuple[FloorMap, Lattice | None]:
         return _from_arrays(arrays)
     except FormatError:
         raise
+    except FileNotFoundError:  # removed in this moment
+        raise InputError(f"No such free-space file: {path}") from None
     except shapely.errors.ShapelyError as fault:
         raise FormatError(f"Free-space file with a broken polygon ({fault}): {path}") from fault
     except Exception as fault:  # zipfile and numpy have a dozen ways to say that bits are wrong
@@ -70,14 +72,15 @@ def cached(key: str, build: Callable[[], FloorMap]) -> tuple[FloorMap, Lattice |
     if folder is None:
         return build(), None
     path = folder / f"{key}.npz"
-    if path.is_file():
-        try:
-            space, lattice = load(path)
-            if space.key == key:
-                return space, lattice
-            log.warning("A cached free space belongs to another scene and is built again: %s", path)
-        except FormatError as fault:
-            log.warning("A cached free space is broken and is built again. %s", fault)
+    try:
+        space, lattice = load(path)
+        if space.key == key:
+            return space, lattice
+        log.warning("A cached free space belongs to another scene and is built again: %s", path)
+    except FormatError as fault:
+        log.warning("A cached free space is broken and is built again. %s", fault)
+    except InputError:
+        pass  # there is none yet, or another process has just removed it
     space = build()
     try:
         save(space, path)
