@@ -31,6 +31,7 @@ def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.
     s = np.asarray(scale, np.float64)
     if s.shape != (3,) or not np.isfinite(s).all() or (s == 0).any():
         raise InputError(f"A scale must be three finite numbers other than 0, got {s}.")
+    # comparisons are written out: this runs for every shape of a home, and np.allclose costs many times as much
     even = bool((np.abs(np.abs(s) - abs(s[0])) <= 1e-6 * abs(s[0]) + 1e-8).all())
     factor = float(np.abs(s).max())
     if isinstance(shape, Capsule):  # uneven scale: the fattest radius, so that no contact is missed

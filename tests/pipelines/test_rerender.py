@@ -131,13 +131,8 @@ def test_pictures_of_another_size_with_smooth_edges(
     ):  # fmt: skip
         log = rerender(capsys, *options, *more, "-o", tmp_path / name)["recordings"][0]
         assert json.loads(Path(log["cameras"]).read_text())["cameras"]["robot_arm"]["width"] == 112
-        with av.open(
-            str(
-                tmp_path / name / "walk.robot_arm.rgb.mp4"
-                if "png" not in more
-                else next(tmp_path.glob(f"{name}/*/*.png"))
-            )
-        ) as container:
+        (file,) = map(Path, log["files"])
+        with av.open(str(file if file.is_file() else next(file.iterdir()))) as container:
             (frame,) = container.decode(video=0)
             colours[name] = frame.to_ndarray(format="rgb24").astype(int)
         assert colours[name].shape == (64, 112, 3)

@@ -80,8 +80,8 @@ ASSUMED: dict[str, str] = {
     + "origins, directions = np.ones((4, 3)), np.eye(3)[[0, 1, 2, 0]]\n"
     + "robot_eye, person_head = np.ones((1, 3)), np.ones((1, 3)) * 2\n"
     + "mask = None\nfrom h3data.scene import HomeSpec, build_home\nhome = build_home(HomeSpec(preset='small', seed=3))\n"
-    + "from h3data.render.sheets.scene_map import render_scene\ninstances = render_scene(home).instances\n"
-    + "meshes = render_scene(home).meshes\nstatic = range(len(instances))\n",
+    + "from h3data.render.sheets.scene_map import render_scene\nflat = render_scene(home)\n"
+    + "meshes, instances, static = flat.meshes, flat.instances, range(len(flat.instances))\n",
     "rerender.md": 'import h3data\nh3data.rerender("episode.mcap", "training", camera=["robot_arm"], outputs="rgb,depth",'
     + ' format="data", steps="0:9")\n',
     "rearrangement.md": "from sim_kinematic.policies.views import *\nAction = RearrangeView = object\n",

@@ -65,8 +65,7 @@ class Processes:
                     left = iter([k for k in range(given, len(shards)) if k not in done])
                     while given < len(shards):
                         for k in islice(left, _AHEAD * count - len(waiting)):
-                            with _ctrl_c_held():  # workers inherit that, for as long as they live
-                                waiting.append((k, pool.submit(partial(_at_work, work), shards[k])))
+                            waiting.append((k, _submitted(pool, work, shards[k])))
                         if given not in done:
                             done[given] = waiting[0][1].result()
                             waiting.popleft()
@@ -96,14 +95,17 @@ def _pool(count: int) -> Iterator[ProcessPoolExecutor]:
         gate.close()
 
 
+def _submitted(pool: ProcessPoolExecutor, work: Callable[[S], R], shard: S) -> Future[R]:
+    with _ctrl_c_held():  # the workers that this starts inherit that, for as long as they live
+        return pool.submit(partial(_at_work, work), shard)
+
+
 def _alone(work: Callable[[S], R], shard: S, lost: Callable[[S, LostShardError], R] | None) -> R:
     """The result of a shard that may have ended a process, by another that has the machine to itself."""
     for _ in range(TRIES - 1):
         try:
             with _pool(1) as pool:
-                with _ctrl_c_held():
-                    future = pool.submit(partial(_at_work, work), shard)
-                return future.result()
+                return _submitted(pool, work, shard).result()
         except BrokenProcessPool:
             continue
     fault = LostShardError(f"No process survived it in {TRIES} tries, perhaps for lack of memory")

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 
 MAX_SIDE_PX = 8192
+"""Longest side of a picture."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,7 +198,7 @@ class Rerender:
         return lines, row
 
     def _kept(self, rows: Sequence[dict[str, Any]]) -> str:
-        """What an interrupted run leaves behind: videos of this camera and of those before it that are complete."""
+        """Says how many files of an interrupted run are complete; empty where there is none."""
         files = sum(len(row.get("files", ())) for row in rows)
         return f"{counted(files, 'file')} in {self.out} are complete: the same command goes on" if files else ""
 
@@ -298,10 +299,10 @@ def parse_size(text: str) -> tuple[int, int] | None:
     if not text:
         return None
     sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    size = tuple(map(int, sides.groups())) if sides else (0, 0)
-    if not all(1 <= side <= MAX_SIDE_PX for side in size):
+    width, height = (int(side) for side in sides.groups()) if sides else (0, 0)
+    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
         raise InputError(f"Expected a size such as 1280x720, of at most {MAX_SIDE_PX} pixels a side, got {text!r}.")
-    return size[0], size[1]
+    return width, height
 
 
 def parse_steps(text: str, count: int) -> range:

@@ -27,7 +27,7 @@ LAST_WORDS_S = 1.0
 
 
 class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """What the front is started with."""
+    """Options of the server: what is played, for whom, at which address and by how many workers."""
 
     plan: PlayPlan | None = None
     study: StudyPlan | None = None
@@ -67,7 +67,7 @@ async def serve(options: ServeOptions, report: Any) -> int:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, stops.set)
-    with contextlib.suppress(OSError):  # a file
+    with contextlib.suppress(OSError):  # a file as stdin cannot be watched
         loop.add_reader(sys.stdin, _hear, stops)
     is_local = options.host in LOOPBACK
     given = {
