@@ -22,7 +22,7 @@ from sim_kinematic.agents.stands import discs_fit, nearest_stand, robot_stands
 from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.velocity import is_crowded, keep_clear
+from sim_kinematic.avoidance.velocity import braking_speed, eased, is_crowded, keep_clear
 from sim_kinematic.avoidance.yielding import NO_PATH, Seen, avoided, discs_of, path_around, retreat_place
 from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT, RobotState
@@ -97,6 +97,8 @@ class RobotActor:
         self._empty_base, self._carrying_base = self.base, carrying_base_of(self.robot, self.base)
         self._folded_m = float(np.hypot(*self._hand_in_root(self.robot.rest)[[0, 2]])) if self._arm.size else 0.0
         self.footprint: Footprint = footprint_of(self.base)
+        self._target = 0.0, 0.0
+        """The command to which it speeds up."""
         self._commands: list[tuple[float, float]] = []
         """Rest of a maneuver by which it steps aside."""
         self._start: NDArray | None = None
@@ -202,7 +204,7 @@ class RobotActor:
 
     def _move(self, forward: float, turn: float, steps: int) -> Skill:
         for _ in range(steps):
-            self._step(forward, turn)
+            self._step(forward, turn, eases=False)
             yield
         return Ending("done")
 
@@ -235,10 +237,15 @@ class RobotActor:
         else:
             self._drive(self.aside[0])
 
-    def _drive(self, towards: NDArray, most: float = 1.0) -> None:
-        """Drives one step towards a floor point [2] at no more than this share of the speed limit."""
+    def _drive(self, towards: NDArray, left_m: float = np.inf) -> None:
+        """Drives one step towards a floor point [2]; ``left_m`` is the length of the path on which it brakes [m]."""
         error = self._error_to(towards)
-        self._step(min(self._no_faster_than(towards, error), most), self._turn(error), towards)
+        forward = min(self._no_faster_than(towards, error), left_m / self._stride_m)
+        if self.base.maneuvers:
+            (x, z), (to_x, to_z), accel = self.xz.tolist(), towards.tolist(), AVOIDANCE.accel_mps2
+            corner = braking_speed(accel, math.hypot(to_x - x, to_z - z), AVOIDANCE.corner_mps)
+            forward = min(forward, min(corner, braking_speed(accel, left_m)) / self.base.max_speed_mps)
+        self._step(forward, self._turn(error), towards)
 
     def _control(self, command: ArrayLike) -> Skill:
         """Moves one step by base velocity, arm joints and grip, without avoidance."""
@@ -292,7 +299,7 @@ class RobotActor:
                 if (yield from self._maneuver(goal, bearing)):
                     best, since, via, is_near = np.inf, 0, NO_PATH, self._leg(goal)[0] <= NEARLY_M
                     continue
-            if since in AVOIDANCE.detour_after_steps and detours < AVOIDANCE.detours and self.others:
+            if since in AVOIDANCE.detour_after_steps and detours < AVOIDANCE.detours and self._seen():
                 detour = self._detour(goal)
                 if detour is not None:
                     via, best, detours = detour[:-1], np.inf, detours + 1
@@ -311,7 +318,7 @@ class RobotActor:
                 self._step(0.0, self._turn(error), goal)
                 left = 0.1 * abs(error) - 1.0
             else:
-                self._drive(waypoint, left / self._stride_m)
+                self._drive(waypoint, left)
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return Ending("failed", "stuck")
@@ -389,8 +396,11 @@ class RobotActor:
         return min(ahead, 0.5 * turned / max(aside * self._stride_m, 1e-9))
 
     def _turn(self, error: float) -> float:
-        """The command that removes a heading error [rad] in one step, if the limit allows."""
-        return min(max(error / (self.base.max_turn_rad_s * STEP_S), -1.0), 1.0)
+        """The command that removes a heading error [rad] in one step, if the limit allows and there is no need to brake."""
+        most = self.base.max_turn_rad_s
+        if self.base.maneuvers:
+            most = min(most, braking_speed(AVOIDANCE.turn_accel_rad_s2, abs(error)))
+        return min(max(error / STEP_S, -most), most) / self.base.max_turn_rad_s
 
     def _leg(self, goal: NDArray) -> tuple[float, NDArray]:
         """Length of the path to a floor point [2] [m], and where to drive first; infinity and the point where there is none."""
@@ -502,14 +512,22 @@ class RobotActor:
                 near.append(other)
         return near
 
-    def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, avoid: bool = True) -> None:
-        """Moves base, arm and what is held by one step; nothing moves that would touch another agent."""
-        self.command = forward, turn
+    def _step(
+        self, forward: float, turn: float, towards: NDArray | None = None, *, avoid: bool = True, eases: bool = True
+    ) -> None:
+        """Moves base, arm and what is held by one step; nothing moves that would touch another agent.
+
+        Where it avoids others it ``eases`` into commands, as far as its base does so.
+        """
+        before, self.command = self.command, (forward, turn)
         self._choose_base()
         if self.avoids and avoid:
             aim = self.xz if towards is None else towards
             others = avoided(self._seen(), agreed=self.agreed)
-            self.command = keep_clear(self.free, self.base, self.xz, self.heading, self.command, aim, others)
+            self._target = keep_clear(
+                self.free, self.base, self.xz, self.heading, self.command, aim, others, self._target
+            )
+            self.command = eased(self.base, self._target, before) if eases and self.base.maneuvers else self._target
         state = self.state
         xz, heading, joints = state.xz.copy(), state.heading.copy(), state.joints.copy()
         drive_robots(state, self.free, np.array([self.command]), self.base)
@@ -520,7 +538,7 @@ class RobotActor:
             self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + missing * (most / far)
         )
         if self.meets():
-            state.xz[:], state.heading[:] = xz, heading
+            state.xz[:], state.heading[:], self.command = xz, heading, (0.0, 0.0)
             if self.meets():
                 state.joints[:] = joints
         k = self.objects.held(self.number)

@@ -90,12 +90,12 @@ class Avoided(NamedTuple):
 
 def keep_clear(
     free: FreeSpace, base: BaseSpec, xz: NDArray, heading: float, wanted: tuple[float, float], towards: NDArray,
-    others: Sequence[Avoided],
+    others: Sequence[Avoided], before: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[float, float]:  # fmt: skip
     """Returns the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
 
     That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
-    most, then the path to ``towards`` [2].
+    most, then the path to ``towards`` [2], then what differs little from the last command, ``before``.
     """
     spec, (here_x, here_z), (goal_x, goal_z) = AVOIDANCE, xz.tolist(), towards.tolist()
     places = [other.xz.tolist() for other in others]
@@ -133,16 +133,39 @@ def keep_clear(
     if all(gap >= margin for (gap, *_), margin in zip(gaps, margins, strict=True)):
         return wanted
     best, least = wanted, math.inf
-    for (forward, turn), tried in zip(_CANDIDATES.tolist(), trials(_CANDIDATES), strict=True):
+    candidates = np.vstack([_CANDIDATES, before])
+    for (forward, turn), tried in zip(candidates.tolist(), trials(candidates), strict=True):
         lacks = max(margin - gap for margin, (gap, *_) in zip(margins, tried, strict=True))
         _, x, z, new_heading = tried[0]
         left = math.hypot(x - goal_x, z - goal_z)
         off = abs(wrap_angle(math.atan2(z - goal_z, goal_x - x) - new_heading)) if left > 0.1 else 0.0
         cost = spec.gap_weight * max(lacks, 0.0) + left + spec.heading_weight_m * off
-        cost += spec.turn_weight_m * abs(turn)
+        cost += spec.turn_weight_m * abs(turn) + spec.change_weight_m * (
+            abs(turn - before[1]) + abs(forward - before[0])
+        )
         if cost < least:
             best, least = (forward, turn), cost
     return best
+
+
+def eased(base: BaseSpec, wanted: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
+    """Returns the command (forward, turn: -1..1 of the limits) after ``before`` by which a robot speeds up or brakes to ``wanted``;
+    it stops turning at once, to end where it wants to."""
+    spec, speed = AVOIDANCE, STEP_S / base.max_speed_mps
+    forward = _within(wanted[0], before[0], spec.accel_mps2 * speed, spec.brake_mps2 * speed)
+    return forward, _within(wanted[1], before[1], spec.turn_accel_rad_s2 * STEP_S / base.max_turn_rad_s, 1.0)
+
+
+def _within(wanted: float, before: float, up: float, down: float) -> float:
+    """``wanted``, or what is nearest to it if a size may grow by ``up`` and shrink by ``down``."""
+    if before < 0.0:
+        return -_within(-wanted, -before, up, down)
+    return min(max(wanted, before - down, -up), before + up)
+
+
+def braking_speed(accel: float, left: float, last: float = 0.0) -> float:
+    """Returns the speed from which braking at a rate ends with speed ``last`` after what is left of a way or a turn."""
+    return math.sqrt(2.0 * accel * max(left, 0.0) + last * last)
 
 
 @lru_cache(maxsize=64)

@@ -59,7 +59,8 @@ class BaseSpec:
     """Whether sliding counts towards the speed limit; else obstacles may push a base on faster (2.76 m/s were seen at a limit
     of 2.5 m/s). Left out of ``repr``, from which episodes have their identity: those of the paper's base keep theirs."""
     maneuvers: bool = field(default=False, repr=False)
-    """Whether it looks for a maneuver where it is stuck (`sim_kinematic.avoidance.maneuvers`)."""
+    """Whether scripts drive it as a robot of our own episodes: it sets off and brakes gradually, and looks for a maneuver where
+    it is stuck (`sim_kinematic.avoidance.maneuvers`)."""
 
     def farthest_m(self, dt: float) -> float:
         """Returns how far the base may get in one step of ``dt`` [s], obstacles pushing it or not [m]."""

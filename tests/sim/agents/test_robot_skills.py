@@ -18,7 +18,7 @@ from sim_kinematic.agents.stands import robot_stands
 from sim_kinematic.avoidance.robot_base import CARRIED_M, base_of, carrying_base_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Seen
-from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
+from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
 from sim_kinematic.motion.state import WorldState
 
 
@@ -179,3 +179,29 @@ def test_it_stands_until_its_arm_is_folded(free: FreeSpace) -> None:
             break
     assert out
     assert np.hypot(*(robot.xz - start)) > 0.1
+
+
+@pytest.mark.parametrize("base", [HOME_BASE, BaseSpec()])
+def test_robots_of_our_own_episodes_set_off_and_brake_gradually(base: BaseSpec) -> None:
+    """The paper's base is at full speed in one step."""
+    hall = FreeSpace.from_map(
+        build_from_walkable(box(0, 0, 8, 3), radius_m=0.25, height_m=1.41, max_climb_m=0.2, cell_m=0.05)
+    )
+    robot, goal = robot_at(hall, np.array([1.0, 1.5]), 0.3, base), np.array([6.5, 1.5])
+    places = [robot.xz.copy()]
+    for _ in robot.drive_to(goal):
+        places.append(robot.xz.copy())
+    speeds = np.hypot(*np.diff(places, axis=0).T) / STEP_S
+    assert np.hypot(*(robot.xz - goal)) <= ARRIVED_M
+    assert speeds.max() > 2.4
+    gradual = np.diff(speeds, prepend=0.0).max() <= AVOIDANCE.accel_mps2 * STEP_S + 1e-3
+    assert gradual == (base is HOME_BASE)
+    assert (speeds[-1] < 0.7) == (base is HOME_BASE)
+
+
+def test_primitives_are_as_long_as_habitats(free: FreeSpace) -> None:
+    robot = robot_at(free, roomiest(free), 0.0, HOME_BASE)
+    start = robot.xz.copy()
+    for _ in robot.start(Action("move_forward")):
+        pass
+    assert np.hypot(*(robot.xz - start)) == pytest.approx(1 / 3, abs=1e-3)
