@@ -149,8 +149,10 @@ def keep_clear(
 
 
 def eased(base: BaseSpec, wanted: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
-    """Returns the command (forward, turn: -1..1 of the limits) after ``before`` by which a robot speeds up or brakes to ``wanted``;
-    it stops turning at once, to end where it wants to."""
+    """Returns the command after ``before`` by which a robot speeds up or brakes to ``wanted`` (forward, turn: -1..1 of the limits).
+
+    It stops turning at once, to end where it wants to.
+    """
     spec, speed = AVOIDANCE, STEP_S / base.max_speed_mps
     forward = _within(wanted[0], before[0], spec.accel_mps2 * speed, spec.brake_mps2 * speed)
     return forward, _within(wanted[1], before[1], spec.turn_accel_rad_s2 * STEP_S / base.max_turn_rad_s, 1.0)

@@ -188,9 +188,7 @@ def test_robots_of_our_own_episodes_set_off_and_brake_gradually(base: BaseSpec) 
         build_from_walkable(box(0, 0, 8, 3), radius_m=0.25, height_m=1.41, max_climb_m=0.2, cell_m=0.05)
     )
     robot, goal = robot_at(hall, np.array([1.0, 1.5]), 0.3, base), np.array([6.5, 1.5])
-    places = [robot.xz.copy()]
-    for _ in robot.drive_to(goal):
-        places.append(robot.xz.copy())
+    places = [robot.xz.copy(), *(robot.xz.copy() for _ in robot.drive_to(goal))]
     speeds = np.hypot(*np.diff(places, axis=0).T) / STEP_S
     assert np.hypot(*(robot.xz - goal)) <= ARRIVED_M
     assert speeds.max() > 2.4
