@@ -149,7 +149,7 @@ def keep_clear(
 
 
 def eased(base: BaseSpec, wanted: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
-    """Returns the command after ``before`` by which a robot speeds up or brakes to ``wanted`` (forward, turn: -1..1 of the limits).
+    """Returns the command (forward, turn: -1..1 of the limits) on the way from ``before`` to ``wanted``.
 
     It stops turning at once, to end where it wants to.
     """
