@@ -1,16 +1,19 @@
 """docs/pictures/handling.jpg: a person who picks a thing, carries it and places it in a home, frame by frame; corridor.jpg: one
-who turns round in a corridor and goes on down it.
+who turns round in a corridor and goes on down it; hand_over.jpg: one who gives what they carry to a robot.
 
     python -m bake.people.handling_sheet docs/pictures/handling.jpg
     python -m bake.people.handling_sheet docs/pictures/corridor.jpg corridor
+    python -m bake.people.handling_sheet docs/pictures/hand_over.jpg hand_over
 
 All rows of the first are of one simulated episode of rearrangement with a robot, seen from where the line of sight is free: the
 first pick and its hand close up; carrying past the robot; the sharpest turn while walking in a narrow place; placing, and its
-hand. Those of the second are of one minute of a person and a robot who wander: the turn, and where the robot is nearest.
+hand. Those of the second are of one minute of a person and a robot who wander: the turn, and where the robot is nearest. In the
+third a person is driven from outside: walking up to the robot, giving, and both hands close up.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 
@@ -20,17 +23,24 @@ from numpy.typing import NDArray
 import h3data
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array, heading_direction, heading_from_quat, wrap_angle
+from h3data.recording import Recording
 from h3data.render import look_at, pinhole
 from h3data.render.image_files import write_jpg
 from h3data.replay.replay import Replay
 from h3data.replay.sight import Fan, Sight
 from h3data.scene import FreeSpace
+from sim_kinematic.agents.driven.commands import HandOver, PersonCommand, Pick
+from sim_kinematic.agents.skills import Action
+from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.policies.policy import External
 
 FRAMES, WIDTH, ROW_PX = 12, 1440, 184
 HOME, SEED = "small:1", 3
 PERSON, MIDDLE_M, TALL_M, CLOSE_M = 1, 0.92, 2.1, 0.5
 BOOM_M, YAWS, ELEVATIONS_DEG = 2.6, 36, (8.0, 20.0, 35.0)
 HIDDEN = ("ceiling",)
+AFTER_STEPS = 120
+"""Steps of the hand-over and after it."""
 WALKS_M, SIDE_RAD = 0.4, 0.8
 """Way in a second of a person who walks; direction from which hands are seen, from that of the person."""
 
@@ -60,9 +70,13 @@ class Stage:
         best = int(np.argmax(np.minimum(free, BOOM_M) + 0.6 * np.cos(yaw - toward)))
         return self._rays[best] * max(float(free[best]), 0.5)
 
-    def row(self, steps: NDArray[np.intp], toward: float, *, joint: str = "") -> NDArray[np.uint8]:
-        """Frames at steps, side by side, around the person's middle or around a joint."""
+    def row(
+        self, steps: NDArray[np.intp], toward: float, *, joint: str = "", beside: Array | None = None
+    ) -> NDArray[np.uint8]:
+        """Frames at steps, side by side, around the person's middle, a joint, or between the person and what is ``beside`` [3]."""
         points = self.base[steps, :3] + [0, MIDDLE_M, 0]
+        if beside is not None:
+            points = (points + beside) / 2
         if joint:
             points = self.replay.joint_matrices(PERSON, steps)[:, JOINT_INDEX[joint], :3, 3]
         offset = self.offset(steps, points, toward)
@@ -126,9 +140,58 @@ def handling() -> NDArray[np.uint8]:
     return np.concatenate([*rows[0], *walking, *rows[1]])
 
 
-def main(target: str, place: str = "") -> None:
+def handed_over() -> Recording:
+    """A person takes the first object and gives it to the robot, which keeps still."""
+    session = h3data.session("rearrange", HOME, seed=SEED, agents={"person": External(), "robot": "still"})
+    person, robot = session.play.people[0], session.play.actors[0]
+    for choice in (Action("nav_to_object", 0), Pick(0)):
+        session.act("person", choice)
+        session.step()
+        while not session.waiting:
+            session.step()
+    stand = person.stand_for(robot.hand_pose[:3])
+    for corner in (*person.free.path(person.xz, stand[:2])[1:], None):
+        while True:
+            gap = np.zeros(2) if corner is None else corner - person.xz
+            left = float(wrap_angle((stand[2] if corner is None else math.atan2(-gap[1], gap[0])) - person.heading))
+            far = math.hypot(gap[0], gap[1])
+            if far < 0.01 and (corner is not None or abs(left) < 0.01):
+                break
+            ahead = 0.0 if abs(left) > 0.1 and far > 0.05 else min(1.0, far / person.spec.speed_mps / STEP_S)
+            turn = 0.0 if corner is not None and far < 0.05 else left / person.spec.turn_rad_s / STEP_S
+            session.act("person", PersonCommand(ahead, float(np.clip(turn, -1.0, 1.0))))
+            session.step()
+    session.act("person", HandOver(0))
+    for _ in range(AFTER_STEPS):
+        session.step()
+    return session.close()
+
+
+def hand_over() -> NDArray[np.uint8]:
+    """The rows of a hand-over."""
+    recording = handed_over()
+    stage = Stage(Replay(recording))
+    gives = next(s for s in recording.skills if s.name == "hand_over")
+    ahead = float(stage.heading[gives.start_step])
+    robot = recording.agent_column(0, "base_pose")[gives.start_step, :3] + [0, 0.7, 0]
+    comes = np.linspace(gives.start_step - 50, gives.start_step, FRAMES).round().astype(np.intp)
+    steps = np.linspace(gives.start_step, gives.end_step, FRAMES).round().astype(np.intp)
+    near = np.linspace(gives.start_step + 0.3 * (gives.end_step - gives.start_step), gives.end_step - 20, FRAMES)
+    return np.concatenate(
+        [
+            stage.row(comes, ahead + SIDE_RAD),
+            stage.row(steps, ahead + np.pi / 2, beside=robot),
+            stage.row(near.round().astype(np.intp), ahead - SIDE_RAD, joint="right_wrist"),
+        ]
+    )
+
+
+SHEETS = {"handling": handling, "corridor": corridor, "hand_over": hand_over}
+
+
+def main(target: str, sheet: str = "handling") -> None:
     """Writes a sheet."""
-    write_jpg(Path(target), corridor() if place == "corridor" else handling(), quality=75)
+    write_jpg(Path(target), SHEETS[sheet](), quality=75)
 
 
 if __name__ == "__main__":

@@ -44,6 +44,8 @@ HEAD_RAD_S = 6.0
 """The head turns no faster than this."""
 MEETING_M = 0.12
 """A hand that gives comes this near to the robot's, and no nearer: the object is between them."""
+DRAWS_IN_MPS = 0.4
+"""Speed at which the robot's hand closes around what it is given."""
 _NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -184,11 +186,13 @@ class DrivenPerson(PersonActor):
         return Ending("done")
 
     def _give(self, action: Action) -> Skill:
-        """Brings the hand near the robot's; there the object changes hands. The robot needs to keep still for it."""
+        """Brings the hand near the robot's; there the object changes hands, and the robot draws it into its own. The robot needs
+        to keep still for it."""
         robot, k = self._robot(action), action.target
         assert robot is not None, "checked before it starts"
         hand, name, point = self._hands(k)[0], self.objects.names[k], self._meeting_point(robot)
         motion = self._careful(self.person.place(point, hand))
+        grip, apart = self.objects.state.grip_pose[0, k], np.zeros(3)
         self.yields, given = False, False
         while True:
             near = float(np.linalg.norm(robot.hand_pose[:3] - point)) <= robot.grip_m
@@ -201,7 +205,12 @@ class DrivenPerson(PersonActor):
             if not given and hand not in self.person.held:
                 given = True
                 self.objects.held_by[k] = robot.number
-                self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(robot.hand_pose), self.objects.poses[k])
+                grip[:] = pose_multiply(pose_inverse(robot.hand_pose), self.objects.poses[k])
+                apart = grip[:3].copy()
+            elif given:
+                left = float(np.linalg.norm(grip[:3]))
+                grip[:3] = apart * (max(left - DRAWS_IN_MPS * STEP_S, 0.0) / float(np.linalg.norm(apart)))
+                self.objects.poses[k] = pose_multiply(robot.hand_pose, grip)
             if given:
                 self.person.objects[name] = self.objects.poses[k].copy()
             yield

@@ -388,6 +388,7 @@ def test_a_person_hands_over_to_a_robot_that_is_near() -> None:
     assert not any(result.refused for result in results)
     assert objects.held_by[0] == 0
     assert person.person.held == {}
+    np.testing.assert_array_equal(objects.state.grip_pose[0, 0, :3], 0.0)  # the robot's hand has closed around it
     held = objects.poses[0].copy()
     session.act("robot", Velocity(0.0, 1.0))
     session.step()
