@@ -73,7 +73,7 @@ class Stage:
     def row(
         self, steps: NDArray[np.intp], toward: float, *, joint: str = "", beside: Array | None = None
     ) -> NDArray[np.uint8]:
-        """Frames at steps, side by side, around the person's middle, a joint, or between the person and what is ``beside`` [3]."""
+        """Frames at steps, side by side, around the person's middle or a joint, or halfway to a point ``beside`` them [3]."""
         points = self.base[steps, :3] + [0, MIDDLE_M, 0]
         if beside is not None:
             points = (points + beside) / 2

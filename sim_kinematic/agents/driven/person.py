@@ -186,8 +186,10 @@ class DrivenPerson(PersonActor):
         return Ending("done")
 
     def _give(self, action: Action) -> Skill:
-        """Brings the hand near the robot's; there the object changes hands, and the robot draws it into its own. The robot needs
-        to keep still for it."""
+        """Brings the hand near the robot's; there the object changes hands, and the robot draws it into its own.
+
+        The robot needs to keep still for it.
+        """
         robot, k = self._robot(action), action.target
         assert robot is not None, "checked before it starts"
         hand, name, point = self._hands(k)[0], self.objects.names[k], self._meeting_point(robot)
