@@ -19,6 +19,10 @@ Joints are those of a replay, as pictures show them; a step is 1/30 s. For each 
     How far the feet of ``quad_arm`` creep in a step while they stand, worst of speeds from -1 to 2.5 m/s and turns up to
     2.5 rad/s, on the spot too, and of the episodes of social navigation [mm].
 
+``robots.jumps_per_minute``, ``robots.reversals_per_minute``
+    Steps in which a robot's speed changes by 0.5 m/s or more, and changes of the direction in which it turns or drives
+    within five steps; per minute of a robot of rearrangement and wandering.
+
 ``motion.<metric>`` is the worst of the tasks (pops, slide, jerk), their sum (mid-air stops) or all their steps together
 (turning share). ``motion.paper.<task>.*`` are those of social navigation and rearrangement with ``human_walk="paper"``, in
 small homes.
@@ -56,6 +60,7 @@ HOMES = 10
 """One episode of each task in each test home."""
 POP_M, STEADY_ROOM = 0.12, 1.1
 AIR_M, REST_M, REST_RAD, FLOOR_M = 0.02, 1e-3, 1e-3, 0.002
+JUMP_MPS, CREEPS_MPS, CREEPS_RAD_S, AT_ONCE = 0.5, 0.05, 0.1, 5
 PAPER_HOMES = 6
 PAPER_TASKS: dict[str, dict[str, Any]] = {
     "social_nav": {"max_steps": 900, "end_on_collision": False},
@@ -76,7 +81,10 @@ def run(emit: Emit) -> None:
     emit("motion.quad_arm.foot_slide_p99_mm", worst, _UNITS["foot_slide_p99_mm"])
     totals: list[dict[str, Array]] = []
     for task, episodes in EPISODES.items():
-        parts = [part for recording in episodes(HOMES, DEFAULT_ROBOT) for part in motions(recording)]
+        recordings = list(episodes(HOMES, DEFAULT_ROBOT))
+        if task != "social_nav":  # there it is the policies who decide
+            _emit_robots(emit, f"motion.{task}.robots", recordings)
+        parts = [part for recording in recordings for part in motions(recording)]
         found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         totals.append(found)
         _emit_all(emit, f"motion.{task}", found)
@@ -121,6 +129,32 @@ def robot_tracks(steps: int = 300) -> list[Array]:
 def _driven_tracks() -> Iterator[Array]:
     for recording in EPISODES["social_nav"](3, DEFAULT_ROBOT):
         yield recording.columns["agent_0.base_pose"].astype(np.float64)
+
+
+def _emit_robots(emit: Emit, prefix: str, recordings: list[Recording]) -> None:
+    jumps = reversals = minutes = 0.0
+    for recording in recordings:
+        for number, agent in enumerate(recording.agents):
+            if agent.kind == "robot":
+                forward, turn = robot_speeds(recording.columns[f"agent_{number}.base_pose"].astype(np.float64))
+                jumps += (np.abs(np.diff(np.abs(forward))) >= JUMP_MPS).sum()
+                reversals += _reversals(forward, CREEPS_MPS) + _reversals(turn, CREEPS_RAD_S)
+                minutes += len(forward) * STEP_S / 60
+    emit(f"{prefix}.jumps_per_minute", jumps / minutes, "steps per minute")
+    emit(f"{prefix}.reversals_per_minute", reversals / minutes, "changes per minute")
+
+
+def robot_speeds(base: Array) -> tuple[Array, Array]:
+    """Forward [m/s] and turning speed [rad/s] in each step of a track of agent roots [T, 7]."""
+    heading, moved = heading_from_quat(base[:, 3:]), np.diff(base[:, [0, 2]], axis=0) / STEP_S
+    forward = moved[:, 0] * np.cos(heading[:-1]) - moved[:, 1] * np.sin(heading[:-1])
+    return forward, wrap_angle(np.diff(heading)) / STEP_S
+
+
+def _reversals(speed: Array, least: float) -> int:
+    """Changes of sign, within `AT_ONCE` steps, of a speed [T] that counts from ``least`` on."""
+    at = np.flatnonzero(np.abs(speed) > least)
+    return int(((np.diff(np.sign(speed[at])) != 0) & (np.diff(at) <= AT_ONCE)).sum())
 
 
 def trot_slides(base: Array) -> Array:
