@@ -46,9 +46,10 @@ class Schedule(NamedTuple):
 def schedule(settings: Settings, share: float, update: int) -> Schedule:
     """At a share of the run, 0..1, before update number ``update``."""
     s = settings
-    warm = min(1.0, (update + 1) / max(s.warmup_updates, 1))
+    acting = update - s.critic_updates
+    warm = min(1.0, (acting + 1) / max(s.warmup_updates, 1)) if acting >= 0 else 1.0
     ahead = s.horizon[0] + share * (s.horizon[1] - s.horizon[0])
-    return Schedule(s.rate * (1 - (1 - s.rate_end) * share) * warm, 1 - s.hold / ahead, update >= s.critic_updates)
+    return Schedule(s.rate * (1 - (1 - s.rate_end) * share) * warm, 1 - s.hold / ahead, acting >= 0)
 
 
 class Learner:

@@ -100,7 +100,7 @@ class Settings:
     def second_stage(self) -> Settings:
         """For an actor that has been trained: the critic alone learns at first, and there is less left to explore."""
         ahead = self.horizon[1]
-        return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=15)
+        return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=20)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as they stand in checkpoints and cards."""
