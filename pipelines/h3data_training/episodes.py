@@ -17,7 +17,7 @@ from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import WALKERS, SocialNavSpec
 from sim_kinematic.torch.episodes import EpisodeBank
 
-MOST_WORKERS = 16
+MOST_WORKERS = 32
 
 
 def rules(settings: Settings) -> SocialNavSpec:

@@ -13,8 +13,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from h3data.errors import InputError
 from h3data_training.settings import CRITIC, Settings
-from sim_kinematic.policies.pictured import ENCODINGS, PATCH, SPEED_MPS, STRIDES, number_count, picture_length
+from sim_kinematic.policies.pictured import (
+    ENCODINGS,
+    PATCH,
+    SPEED_MPS,
+    STRIDES,
+    PicturedNetwork,
+    number_count,
+    picture_length,
+)
 
 Shown = Mapping[str, Tensor]
 
@@ -115,8 +124,27 @@ class ActorCritic(nn.Module):
         out = self.gru(padded.view(steps, len(where), width), first[None])[0]
         return out.flatten(0, 1).index_select(0, at).view(steps, batch, -1)
 
+    def take(self, arrays: Mapping[str, Any]) -> None:
+        """Replaces the actor by that of `arrays`.
+
+        Raises:
+            InputError: it has other layers.
+        """
+        mine = self._named()
+        other = [f"{n} {list(arrays[n].shape)}, not {list(t.shape)}" if n in arrays else f"no {n}"
+                 for n, t in mine.items() if n not in arrays or arrays[n].shape != tuple(t.shape)]  # fmt: skip
+        other += [f"{n}, which is unknown here" for n in arrays if n not in mine]
+        if other:
+            raise InputError(f"The policy to begin with has another network: {'; '.join(other)}.")
+        with torch.no_grad():
+            for name, tensor in mine.items():
+                tensor.copy_(torch.as_tensor(arrays[name]))
+
     def arrays(self) -> dict[str, Any]:
         """The actor as `sim_kinematic.policies.pictured.PicturedNetwork` names its arrays, float32."""
+        return {n: t.detach().float().cpu().contiguous().numpy().copy() for n, t in self._named().items()}
+
+    def _named(self) -> dict[str, Any]:
         first, last = self.act[0], self.act[-1]
         named: dict[str, Any] = {
             "gru.weight_ih": self.gru.weight_ih_l0, "gru.weight_hh": self.gru.weight_hh_l0,
@@ -127,4 +155,23 @@ class ActorCritic(nn.Module):
             named |= {"picture.weight": self.picture.weight, "picture.bias": self.picture.bias}
             for k, convolution in enumerate(self.convolutions):
                 named |= {f"conv_{k}.weight": convolution.weight, f"conv_{k}.bias": convolution.bias}
-        return {n: t.detach().float().cpu().contiguous().numpy().copy() for n, t in named.items()}
+        return named
+
+
+def begin_with(net: ActorCritic, policy: PicturedNetwork, settings: Settings) -> dict[str, Any]:
+    """Replaces the actor by a trained one; returns what its card says of its training, and of what came before that.
+
+    Raises:
+        InputError: it is shown other things, drives another robot, or has other layers.
+    """
+    card, s = policy.card, settings
+    pairs = {
+        "observations": (card.observations, s.observations), "robot": (card.robot, s.robot),
+        "picture_size": (card.picture_size or s.picture_size, s.picture_size),
+    }  # fmt: skip
+    other = [f"{name}={theirs!r}, not {ours!r}" for name, (theirs, ours) in pairs.items() if theirs != ours]
+    if other:
+        raise InputError(f"The policy to begin with has {'; '.join(other)}.")
+    net.take(policy.arrays)
+    before = {k: v for k, v in card.training.items() if k not in ("settings", "last_update")}
+    return {"digest": policy.digest[:12], "hold": card.hold, **before}

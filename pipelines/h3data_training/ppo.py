@@ -10,9 +10,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from h3data_training.networks import ActorCritic, actor_numbers, critic_numbers, picture
+from h3data_training.ranks import Ranks
 from h3data_training.settings import Settings
 from h3data_training.worlds import COUNTS, HeldWorlds
 
+RANK_SEED = 1_000_003
+"""Between the seeds of two processes' exploration noise."""
 BEYOND = 1.2
 """Mean actions beyond this are pulled back: past its limits a command changes nothing, so nothing else would."""
 
@@ -36,30 +39,36 @@ class Schedule(NamedTuple):
     rate: float
     gamma: float
     """Discount of one decision."""
+    acts: bool = True
+    """Whether the actor learns, or only the critic, which is new where the actor is not."""
 
 
 def schedule(settings: Settings, share: float, update: int) -> Schedule:
     """At a share of the run, 0..1, before update number ``update``."""
     s = settings
-    warm = min(1.0, (update + 1) / max(s.warmup_updates, 1))
+    acting = update - s.critic_updates
+    warm = min(1.0, (acting + 1) / max(s.warmup_updates, 1)) if acting >= 0 else 1.0
     ahead = s.horizon[0] + share * (s.horizon[1] - s.horizon[0])
-    return Schedule(s.rate * (1 - (1 - s.rate_end) * share) * warm, 1 - s.hold / ahead)
+    return Schedule(s.rate * (1 - (1 - s.rate_end) * share) * warm, 1 - s.hold / ahead, acting >= 0)
 
 
 class Learner:
-    """Actor, critic, optimizer and rollout buffers of one run."""
+    """Actor, critic, optimizer and rollout buffers of one run; of several processes, each has a learner with its share of the
+    worlds, and all come to the same weights."""
 
-    def __init__(self, settings: Settings, worlds: HeldWorlds, *, seed: int) -> None:
+    def __init__(self, settings: Settings, worlds: HeldWorlds, *, seed: int, ranks: Ranks | None = None) -> None:
         self.settings, self.worlds = settings, worlds
+        self.ranks = ranks or Ranks()
         device = worlds.device
-        torch.manual_seed(seed)  # initial weights
-        self.dice = torch.Generator(device).manual_seed(seed)
+        torch.manual_seed(seed)  # initial weights, the same in every process
+        self.dice = torch.Generator(device).manual_seed(seed + RANK_SEED * self.ranks.rank)
         self.net = ActorCritic(settings).to(device)
         fused = True if device.type == "cuda" else None
         self.optimizer = torch.optim.Adam(self.net.parameters(), settings.rate, eps=1e-5, fused=fused)
         count = worlds.num_envs
+        first = self.ranks.rank * count
         self.memory = Memory(
-            shown=worlds.reset(seed=seed)[0],
+            shown=worlds.reset(seed=[seed + first + w for w in range(count)])[0],
             state=torch.zeros(count, settings.hidden, device=device),
             last=torch.zeros(count, 2, device=device),
             over=torch.zeros(count, dtype=torch.bool, device=device),
@@ -68,13 +77,14 @@ class Learner:
 
     def update(self, plan: Schedule) -> dict[str, float]:
         """One rollout and what is learned from it; returns a row of the learning curve."""
-        self.optimizer.param_groups[0]["lr"] = plan.rate
+        for group in self.optimizer.param_groups:
+            group["lr"] = plan.rate
         self.worlds.totals.zero_()
         first = self.memory.state.clone()
         last = self._collect(plan.gamma)
         advantages, targets, explained = self._advantages(last, plan.gamma)
-        learned = self._learn(first, advantages, targets)
-        total = dict(zip(COUNTS, self.worlds.totals.tolist(), strict=True))
+        learned = self._learn(first, advantages, targets, acts=plan.acts)
+        total = dict(zip(COUNTS, self.ranks.sum(self.worlds.totals).tolist(), strict=True))
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
             "reward": total["reward"] / steps, "follows": total["follows"] / steps, "collided": total["collided"] / ended,
@@ -128,21 +138,24 @@ class Learner:
         target, valid, far = gain + value[:-1], kept["valid"].float(), kept["far"].float()
         scaled = torch.zeros_like(gain)
         for part in (far * valid, (1 - far) * valid) if s.near_m > 0 else (valid,):
-            count = part.sum().clamp_min(1)
-            middle = (gain * part).sum() / count
-            spread = (((gain - middle).square() * part).sum() / count).sqrt()
+            count, total = self.ranks.sum(torch.stack([part.sum(), (gain * part).sum()]))
+            count = count.clamp_min(1)
+            middle = total / count
+            spread = (self.ranks.sum(((gain - middle).square() * part).sum()) / count).sqrt()
             scaled += part * (gain - middle) / (spread + 1e-4)
-        explained = 1 - (gain * valid).var() / (target * valid).var().clamp_min(1e-8)
+        variance = self.ranks.variance
+        explained = 1 - variance(gain * valid) / variance(target * valid).clamp_min(1e-8)
         return scaled, target, float(explained)
 
     # --- learning ---------------------------------------------------------------------------------------------------------
-    def _learn(self, first: Tensor, advantages: Tensor, targets: Tensor) -> dict[str, float]:
+    def _learn(self, first: Tensor, advantages: Tensor, targets: Tensor, *, acts: bool) -> dict[str, float]:
         s, net, kept = self.settings, self.net, self._kept
+        parameters = list(net.parameters())
         device, valid = first.device, kept["valid"].float()
         sums = torch.zeros(4, device=device)
         for _ in range(s.epochs):
-            order = torch.randperm(s.worlds, generator=self.dice, device=device)
-            for rows in order.split(s.worlds // s.minibatches):
+            order = torch.randperm(len(first), generator=self.dice, device=device)
+            for rows in order.split(len(first) // s.minibatches):
                 x = {n: kept[n][:, rows] for n in ("numbers", "told", "action", "begins", "log_prob", "mean")}
                 pixels = kept["pixels"][:, rows].flatten(0, 1) if net.sees else None
                 features = net.features(pixels, x["numbers"].flatten(0, 1)).view(s.rollout, len(rows), -1)
@@ -153,16 +166,21 @@ class Learner:
                 clipped = ratio.clamp(1 - s.clip, 1 + s.clip)
                 worth = (torch.minimum(ratio * gain, clipped * gain) * valid[:, rows]).mean()
                 wrong = (net.worth(x["told"]).squeeze(-1) - targets[:, rows]).square().mean()
-                guess = F.smooth_l1_loss(net.auxiliary(state), x["told"][..., :-1], beta=0.5)
+                guess = F.smooth_l1_loss(
+                    net.auxiliary(state if acts else state.detach()), x["told"][..., :-1], beta=0.5
+                )
                 beyond = (mean.abs() - BEYOND).clamp_min(0).square().mean()
-                loss = wrong - worth - s.entropy * std.log().sum() + s.auxiliary * guess + 0.01 * beyond
+                loss = wrong + s.auxiliary * guess
+                if acts:
+                    loss = wrong - worth - s.entropy * std.log().sum() + s.auxiliary * guess + 0.01 * beyond
                 self.optimizer.zero_grad(set_to_none=True)
                 loss.backward()
-                nn.utils.clip_grad_norm_(net.parameters(), s.gradient_norm)
+                self.ranks.average_gradients(parameters)
+                nn.utils.clip_grad_norm_(parameters, s.gradient_norm)
                 self.optimizer.step()
                 with torch.no_grad():
                     moved = ((mean - x["mean"]) / std).square().sum(-1).mean() / 2
                     outside = ((ratio - 1).abs() > s.clip).float().mean()
                     sums += torch.stack([wrong.detach(), guess.detach(), moved, outside])
         names = ("value_loss", "auxiliary_loss", "kl", "clipped")
-        return dict(zip(names, (sums / (s.epochs * s.minibatches)).tolist(), strict=True))
+        return dict(zip(names, (self.ranks.mean(sums) / (s.epochs * s.minibatches)).tolist(), strict=True))

@@ -8,27 +8,28 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from h3data.errors import FormatError, InputError
+from h3data.errors import InputError
 from h3data.files import part_file
+from h3data_training import checkpoints
 from h3data_training.curve import EventLog, save_curve
 from h3data_training.episodes import make_bank
+from h3data_training.launch import Stop, launch
+from h3data_training.networks import begin_with
 from h3data_training.ppo import Learner, schedule
+from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
 from h3data_training.settings import Settings
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.torch.episodes import EpisodeBank
 
 CHECKPOINT, POLICY = "checkpoint.pt", "policy.npz"
-FORMAT = "h3data.training/1"
-FREE = ("minutes", "updates")
-"""Settings that may change when a run goes on: they only say how long it is."""
 SPARE_S = 10.0
 """Kept at the end of a run of so many minutes, for the last update and the files."""
 
@@ -53,20 +54,22 @@ class Result:
 
 
 def train(
-    folder: Path, settings: Settings, *, seed: int = 0, device: str = "cpu", resume: bool = False,
-    stop_after: float | None = None, checkpoint_s: float = 30.0, compile: bool | None = None, name: str = "",
-    bank: EpisodeBank | None = None, say: Say = lambda text: None,
+    folder: Path, settings: Settings, *, seed: int = 0, device: str = "cpu", gpus: int = 1,
+    init: PicturedNetwork | None = None, resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0,
+    compile: bool | None = None, name: str = "", bank: EpisodeBank | None = None, say: Say = lambda text: None,
 ) -> Result:  # fmt: skip
     """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
 
     On the CPU, a run that was interrupted and goes on comes to the very weights of one that was not, if its length is given in
-    updates; progress in minutes depends on the clock.
+    updates; progress in minutes depends on the clock. A process that torchrun started joins the others.
 
     Args:
         folder: Of the run; it exists. `POLICY`, `CHECKPOINT` and the learning curve (`h3data_training.curve`) appear there.
         settings: What is trained.
         seed: Everything random follows from it.
         device: ``cpu`` or ``cuda``.
+        gpus: Processes that train together, one for each GPU, or as many on the CPU; each has its share of the worlds.
+        init: A trained policy to begin with; its critic is new.
         resume: Go on from the checkpoint in the folder, if there is one.
         stop_after: Minutes of this call, set-up included; None: until the run is over.
         checkpoint_s: Seconds between two checkpoints.
@@ -76,61 +79,116 @@ def train(
         say: Told what goes on, in lines.
 
     Raises:
-        InputError: a setting does not fit, the checkpoint is of other settings, or the GPU is too small.
+        InputError: a setting does not fit, the checkpoint is of other settings, or a GPU is too small.
         FormatError: the checkpoint is damaged.
     """
-    began = time.monotonic()
-    kept = _read(folder / CHECKPOINT, settings, seed) if resume and (folder / CHECKPOINT).exists() else None
-    if kept is not None and _is_over(settings, kept["curve"], kept["seconds"], kept["setups_s"]):
+    job = _Job(
+        folder=folder, settings=settings, seed=seed, device=device, init=init, resume=resume, stop_after=stop_after,
+        checkpoint_s=checkpoint_s, compile=compile, name=name, bank=bank, began=time.time(),
+    )  # fmt: skip
+    place = torchrun_place()
+    processes = place[1] if place else gpus
+    if processes < 1 or settings.worlds % (processes * settings.minibatches):
         raise InputError(
-            f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
-            f"Hint: give it more --minutes. Folder: {folder}"
+            f"Expected worlds in multiples of {settings.minibatches} minibatches for each of {processes} processes, "
+            f"got {settings.worlds}."
         )
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise InputError("There is no GPU that this torch can use. Hint: --device cpu with --recipe tiny.")
-    with _stop_asked() as stop, _one_thread(device):
-        try:
-            return _Run(folder, settings, seed, device, kept, compile, name, bank, say, began).go(
-                stop, stop_after, checkpoint_s
+    job.kept()
+    with _stop_asked() as stop:
+        if place is None and processes > 1:
+            return launch(_work, processes, replace(job, bank=job.episodes(say)), stop=stop, say=say)
+        return _work(job, stop, say)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    """What `train` was asked for, as its processes are told."""
+
+    folder: Path
+    settings: Settings
+    seed: int
+    device: str
+    init: PicturedNetwork | None
+    resume: bool
+    stop_after: float | None
+    checkpoint_s: float
+    compile: bool | None
+    name: str
+    bank: EpisodeBank | None
+    began: float
+    """By the clock on the wall, which all processes see [s]."""
+
+    def kept(self) -> dict[str, Any] | None:
+        """The checkpoint to go on from."""
+        path = self.folder / CHECKPOINT
+        if not self.resume or not path.exists():
+            return None
+        kept = checkpoints.read(path, self.settings, self.seed)
+        if _is_over(self.settings, kept["curve"], kept["seconds"], kept["setups_s"]):
+            raise InputError(
+                f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
+                f"Hint: give it more --minutes. Folder: {self.folder}"
             )
+        return kept
+
+    def episodes(self, say: Say) -> EpisodeBank:
+        bank = make_bank(self.settings, seed=self.seed) if self.bank is None else self.bank
+        say(f"{len(bank)} episodes in {len(bank.scenes)} homes after {time.time() - self.began:.0f} s")
+        return bank
+
+
+def _work(job: _Job, stop: Stop, say: Say) -> Result:
+    """What one process does."""
+    ranks, device = own_place(job.device)
+    if not ranks.is_first:
+        say = _silent
+    bank = job.episodes(say if job.bank is None else _silent)
+    with _one_thread(job.device):
+        try:
+            return _Run(job, ranks, device, bank, say).go(stop)
         except torch.cuda.OutOfMemoryError as fault:
             raise InputError(
-                f"The GPU is too small for {settings.worlds} worlds. Hint: --worlds {max(settings.worlds // 2, 1)}. "
-                f"({str(fault).splitlines()[0]})"
+                f"The GPU is too small for {job.settings.worlds // ranks.count} worlds. "
+                f"Hint: --worlds {max(job.settings.worlds // 2, 1)}. ({str(fault).splitlines()[0]})"
             ) from None
+        finally:
+            leave()
+
+
+def _silent(line: str) -> None:
+    """Says nothing: the first process speaks for all."""
 
 
 class _Run:
-    def __init__(
-        self, folder: Path, settings: Settings, seed: int, device: str, kept: dict[str, Any] | None,
-        compile: bool | None, name: str, bank: EpisodeBank | None, say: Say, began: float,
-    ) -> None:  # fmt: skip
-        self.folder, self.settings, self.seed, self.name, self.say, self.began = (
-            folder,
-            settings,
-            seed,
-            name,
-            say,
-            began,
-        )
-        bank = make_bank(settings, seed=seed) if bank is None else bank
-        say(f"{len(bank)} episodes in {len(bank.scenes)} homes after {self.elapsed():.0f} s")
+    def __init__(self, job: _Job, ranks: Ranks, device: str, bank: EpisodeBank, say: Say) -> None:
+        self.job, self.ranks, self.say = job, ranks, say
+        self.folder, self.settings = job.folder, job.settings
         torch.set_float32_matmul_precision("high")
-        worlds = HeldWorlds(settings, bank, device=device, compile=compile)
-        self.learner = Learner(settings, worlds, seed=seed)
+        worlds = HeldWorlds(
+            self.settings, bank, device=device, compile=job.compile, count=self.settings.worlds // ranks.count
+        )
+        self.learner = Learner(self.settings, worlds, seed=job.seed, ranks=ranks)
+        connect(ranks, worlds.device)
         self.curve: list[dict[str, float]] = []
         self.before_s = self.setups_s = 0.0
+        self.parent: dict[str, Any] = {}
+        kept = job.kept()
         if kept is not None:
-            self._restore(kept)
-        self.events = EventLog(folder, self.curve)
+            checkpoints.restore(self.learner, kept, self.folder / CHECKPOINT)
+            self.curve, self.before_s, self.setups_s = kept["curve"], kept["seconds"], kept["setups_s"]
+            self.parent = kept.get("parent", {})
+        elif job.init is not None:
+            self.parent = begin_with(self.learner.net, job.init, self.settings)
+        self.events = EventLog(self.folder, self.curve) if ranks.is_first else None
         self.device = torch.cuda.get_device_name() if worlds.device.type == "cuda" else "cpu"
         self.setup_s = self.elapsed()
         self.setups_s += self.setup_s
-        say(f"{settings.worlds} worlds on {self.device} after {self.setup_s:.0f} s")
+        about = f"{ranks.count} x {self.device}" if ranks.count > 1 else self.device
+        say(f"{self.settings.worlds} worlds on {about} after {self.setup_s:.0f} s")
 
     def elapsed(self) -> float:
         """Seconds of this call."""
-        return time.monotonic() - self.began
+        return time.time() - self.job.began
 
     @property
     def seconds(self) -> float:
@@ -141,12 +199,22 @@ class _Run:
     def share(self) -> float:
         return _share(self.settings, self.curve, self.seconds, self.setups_s)
 
-    def go(self, stop: threading.Event, stop_after: float | None, checkpoint_s: float) -> Result:
-        limit = float("inf") if stop_after is None else stop_after * 60 - SPARE_S / 2
+    def go(self, stop: Stop) -> Result:
+        job, is_first = self.job, self.ranks.is_first
+        limit = float("inf") if job.stop_after is None else job.stop_after * 60 - SPARE_S / 2
         saved = said = time.monotonic()
-        while (self.share < 1 or not self.curve) and self.elapsed() < limit and not stop.is_set():
+        while True:
+            share, is_saving, goes_on = self._agreed(
+                self.share, time.monotonic() - saved > job.checkpoint_s,
+                (self.share < 1 or not self.curve) and self.elapsed() < limit and not stop.is_set(),
+            )  # fmt: skip
+            if not goes_on:
+                break
+            if is_saving and self.curve:
+                self._save(is_last=False)
+                saved = time.monotonic()
             update, start = len(self.curve), time.monotonic()
-            row = self.learner.update(schedule(self.settings, self.share, update))
+            row = self.learner.update(schedule(self.settings, share, update))
             size, now = self.settings.decisions_per_update, time.monotonic()
             self.curve.append(
                 {
@@ -159,12 +227,9 @@ class _Run:
                     f"Training diverged in update {update + 1}: a number is not finite. The checkpoint is as it was. "
                     f"Hint: another seed, or a lower rate. Folder: {self.folder}"
                 )
-            if now - said > 10 or update == 0:
+            if is_first and (now - said > 10 or update == 0):
                 said = now
                 self.say(self._line())
-            if now - saved > checkpoint_s:
-                self._save(is_last=False)
-                saved = time.monotonic()
         done = self.share >= 1
         self._save(is_last=True)
         updates = len(self.curve)
@@ -172,6 +237,11 @@ class _Run:
             folder=self.folder, done=done, updates=updates, decisions=updates * self.settings.decisions_per_update,
             seconds=self.seconds, setup_s=self.setup_s, last=dict(self.curve[-1]) if self.curve else {},
         )  # fmt: skip
+
+    def _agreed(self, *values: float) -> list[float]:
+        """Of the first process: clocks differ, and all have to do the same."""
+        where = self.learner.memory.state.device
+        return self.ranks.first(torch.tensor(values, dtype=torch.float64, device=where)).tolist()
 
     def _line(self) -> str:
         row, share = self.curve[-1], self.share
@@ -186,19 +256,19 @@ class _Run:
     # --- files ------------------------------------------------------------------------------------------------------------
     def _save(self, *, is_last: bool) -> None:
         """Checkpoint, curve and policy, each whole or not at all. A disk that is full ends the run only at its end."""
-        m, learner = self.learner.memory, self.learner
         kept = {
-            "format": FORMAT, "settings": self.settings.as_dict(), "seed": self.seed, "curve": self.curve,
-            "seconds": self.seconds, "setups_s": self.setups_s, "net": learner.net.state_dict(),
-            "optimizer": learner.optimizer.state_dict(), "dice": learner.dice.get_state(),
-            "play": list(learner.worlds.play.tensors()), "shown": m.shown, "state": m.state, "last": m.last, "over": m.over,
+            "format": checkpoints.FORMAT, "settings": self.settings.as_dict(), "seed": self.job.seed, "curve": self.curve,
+            "seconds": self.seconds, "setups_s": self.setups_s, "parent": self.parent, **checkpoints.state_of(self.learner),
         }  # fmt: skip
+        if not self.ranks.is_first:
+            return
         try:
             with part_file(self.folder / CHECKPOINT) as part:
                 torch.save(kept, part)
             if self.curve:
                 save_curve(self.curve, self.folder)
-                self.events.write(self.curve)
+                if self.events is not None:
+                    self.events.write(self.curve)
             save_pictured(self.policy(), self.folder / POLICY)
         except (OSError, RuntimeError) as fault:  # torch reports a full disk as RuntimeError
             if is_last:
@@ -221,50 +291,15 @@ class _Run:
                 task="social_nav", robot=s.robot, observations=s.observations,
                 picture_size=s.picture_size if pictured else None, hold=s.hold,
                 training={
-                    "recipe": self.name, "seed": self.seed, "updates": updates,
+                    "recipe": self.job.name, "seed": self.job.seed, "updates": updates,
                     "decisions": updates * s.decisions_per_update, "steps": updates * s.decisions_per_update * s.hold,
                     "seconds": round(self.seconds, 1), "device": self.device, "torch": str(torch.__version__), "h3data": own,
-                    "settings": s.as_dict(), "last_update": last,
+                    "settings": s.as_dict(), "last_update": last, "processes": self.ranks.count,
+                    **({"parent": self.parent} if self.parent else {}),
                 },
             ),
             arrays=self.learner.net.arrays(),
         )  # fmt: skip
-
-    def _restore(self, kept: dict[str, Any]) -> None:
-        learner, m = self.learner, self.learner.memory
-        where = learner.worlds.device
-        try:
-            learner.net.load_state_dict(kept["net"])
-            learner.optimizer.load_state_dict(kept["optimizer"])
-            learner.dice.set_state(kept["dice"].cpu())
-            for mine, theirs in zip(learner.worlds.play.tensors(), kept["play"], strict=True):
-                mine.copy_(theirs)
-            m.shown = {n: t.to(where) for n, t in kept["shown"].items()}
-            m.state, m.last, m.over = (kept[n].to(where) for n in ("state", "last", "over"))
-        except (KeyError, RuntimeError, ValueError) as fault:
-            reason = str(fault).splitlines()[0]
-            raise FormatError(f"The checkpoint does not fit ({reason}). File: {self.folder / CHECKPOINT}") from None
-        self.curve, self.before_s, self.setups_s = kept["curve"], kept["seconds"], kept["setups_s"]
-
-
-def _read(path: Path, settings: Settings, seed: int) -> dict[str, Any]:
-    """A checkpoint of the same settings and seed."""
-    try:
-        kept = torch.load(path, map_location="cpu", weights_only=True)  # numbers only: nothing in it is executed
-        then = kept["settings"] | {"seed": kept["seed"]}
-        fits = kept["format"] == FORMAT
-    except Exception as fault:  # torch raises whatever the bytes lead to
-        raise FormatError(f"Expected a checkpoint of h3data train, this is none, or damaged ({type(fault).__name__}). "
-                          f"Hint: --force begins anew. File: {path}") from None  # fmt: skip
-    if not fits:
-        raise FormatError(f"Expected a checkpoint {FORMAT}, got {kept['format']}. File: {path}")
-    now = settings.as_dict() | {"seed": seed}
-    other = [f"{n}={then.get(n)!r}, not {now[n]!r}" for n in now if n not in FREE and then.get(n) != now[n]]
-    if other:
-        raise InputError(
-            f"The run in this folder has {'; '.join(other)}. Hint: name the same settings, or another folder."
-        )
-    return kept
 
 
 def _share(settings: Settings, curve: list[Any], seconds: float, setups_s: float) -> float:

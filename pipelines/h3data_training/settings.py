@@ -28,6 +28,9 @@ class Settings:
     human: str = "female_0"
     walk: str = "natural"
     """How people walk: ``natural`` or ``paper`` (2.5 m/s, turning on the spot)."""
+    follow_steps: int = 0
+    """An episode is cut short after so many steps of following, as if its time were over: else most of what a rollout holds is
+    following, and little is finding. 0: never."""
     worlds: int = 4096
     rollout: int = 32
     """Decisions per world between two updates."""
@@ -47,6 +50,8 @@ class Settings:
     rate_end: float = 0.05
     """Share of the learning rate that is left at the end."""
     warmup_updates: int = 15
+    critic_updates: int = 0
+    """Updates in which only the critic learns: it is new where the actor comes from a file."""
     entropy: float = 0.002
     std: float = 0.6
     """Of the exploration noise at the start,"""
@@ -81,12 +86,21 @@ class Settings:
             raise InputError(f"Expected pictures with sides in multiples of {PATCH} pixels, got {self.picture_size}.")
         if self.worlds % self.minibatches:
             raise InputError(f"Expected worlds in multiples of minibatches={self.minibatches}, got {self.worlds}.")
+        if self.follow_steps < 0 or self.critic_updates < 0:
+            raise InputError(
+                f"Expected follow_steps and critic_updates >= 0, got {self.follow_steps} and {self.critic_updates}."
+            )
         if self.updates < 0 or not math.isfinite(self.minutes) or self.minutes <= 0:
             raise InputError(f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.")
 
     @property
     def decisions_per_update(self) -> int:
         return self.worlds * self.rollout
+
+    def second_stage(self) -> Settings:
+        """For an actor that has been trained: the critic alone learns at first, and there is less left to explore."""
+        ahead = self.horizon[1]
+        return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=20)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as they stand in checkpoints and cards."""

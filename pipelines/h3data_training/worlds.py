@@ -76,12 +76,14 @@ class HeldWorlds(SocialNavTorchEnv):
         device: str,
         compile: bool | None = None,
         hold: int | None = None,
+        count: int | None = None,
     ) -> None:
-        self.hold = hold or settings.hold
+        """``count`` worlds, by default those of the settings; of several processes, each has its share of them."""
+        self.hold, self.follow_steps = hold or settings.hold, settings.follow_steps
         shown: Any = tuple(dict.fromkeys((*settings.observations, *CRITIC)))
         super().__init__(
-            settings.worlds, device=device, dtype=torch.float32, observations=shown, spec=rules(settings), episodes=bank,
-            depth_size=settings.picture_size, robot=settings.robot, human=settings.human, compile=compile,
+            count or settings.worlds, device=device, dtype=torch.float32, observations=shown, spec=rules(settings),
+            episodes=bank, depth_size=settings.picture_size, robot=settings.robot, human=settings.human, compile=compile,
         )  # fmt: skip
         worlds, where = self.num_envs, self.device
         self.gain = torch.zeros(worlds, device=where)
@@ -103,6 +105,10 @@ class HeldWorlds(SocialNavTorchEnv):
         for k in range(self.hold):
             followed = play.followed.clone()
             shown = self._move()
+            if self.follow_steps:
+                enough = ~play.ended & (play.followed >= self.follow_steps)
+                play.truncated.logical_or_(enough)
+                play.ended.logical_or_(enough)
             gain = gain + torch.where(live, play.reward.float(), 0.0)
             ends = live & play.ended
             sums = sums + torch.stack([

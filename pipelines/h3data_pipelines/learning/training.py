@@ -18,6 +18,7 @@ from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, c
 if TYPE_CHECKING:
     from h3data_training.run import Result
     from h3data_training.settings import Settings
+    from sim_kinematic.policies.pictured import PicturedNetwork
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Train:
     Examples:
         h3data train social_nav --recipe fast --device cuda -o out/nav
         h3data train social_nav --recipe fast --device cuda --minutes 17 --stop-after 8.7 --resume -o out/nav
+        h3data train social_nav --recipe fast --device cuda --gpus 2 --init end_to_end -o out/longer
         h3data train social_nav --recipe tiny -o out/tiny
         h3data train social_nav --observations humanoid_detector,humanoid_gps --device cuda -o out/blind
         h3data train social_nav --recipe fast --dry-run -o out/nav
@@ -67,6 +69,18 @@ class Train:
     """Body of the robot (default: quad_arm)."""
     walk: Literal["natural", "paper"] | None = None
     """How people walk, as --human-walk of h3data generate (default: natural)."""
+    gpus: int = 1
+    """Processes that train together, one for each GPU, each with its share of the worlds; on the CPU as many processes. In
+    processes that torchrun starts, as many as there are."""
+    init: str | None = None
+    """A trained policy to begin with: weights:FILE or end_to_end. The critic is new and learns alone at first; there is less
+    exploration, and the value looks farther ahead from the start."""
+    rollout: int | None = None
+    """Decisions per world between two updates: as far as the recurrent state learns to remember (default: 32, tiny 16)."""
+    minibatches: int | None = None
+    """Parts of a rollout that are learned from one after the other (default: 4)."""
+    follow_steps: int | None = None
+    """Cut training episodes short after so many steps of following, so that they hold more finding (default: 0, never)."""
     resume: bool = False
     """Go on from the checkpoint in the folder; begins where there is none."""
     dry_run: DryRunFlag = False
@@ -80,33 +94,49 @@ class Train:
             )
         if self.resume and self.force:
             raise InputError("Expected --resume (go on) or --force (begin anew), got both.")
+        from h3data_training.ranks import torchrun_place
         from h3data_training.run import CHECKPOINT, describe, train
         from h3data_training.settings import recipe
 
         shown = None if self.observations is None else tuple(self.observations.split(","))
         settings = recipe(
             self.recipe, minutes=self.minutes, updates=self.updates, scenes=self.scenes, worlds=self.worlds, hold=self.hold,
-            observations=shown, robot=self.robot, walk=self.walk,
+            observations=shown, robot=self.robot, walk=self.walk, rollout=self.rollout, minibatches=self.minibatches,
+            follow_steps=self.follow_steps,
         )  # fmt: skip
+        first = None if self.init is None else _first(self.init)
+        if first is not None:
+            settings = settings.second_stage()
         if self.stop_after is not None and not self.stop_after > 0:
             raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
         if self.dry_run:
             data = {"settings": settings.as_dict(), "out": str(self.out), **_cost(settings)}
             return Outcome(text=f"{describe(settings)}\n{_plan(settings)}\nNothing has been done.", data=data)
-        goes_on = self.resume and (self.out / CHECKPOINT).is_file()
-        folder = self.out if goes_on else claim_folder(self.out, force=self.force or self.resume)
-        if self.force and folder.is_dir() and (folder / CHECKPOINT).exists():
-            (folder / CHECKPOINT).unlink()
+        beside = (torchrun_place() or (0, 1))[0] > 0  # the first process of several has claimed the folder
+        folder = claim_folder(self.out, force=self.force or self.resume or beside)
+        if self.force and not beside:
+            (folder / CHECKPOINT).unlink(missing_ok=True)
         free = shutil.disk_usage(folder).free
         if free < (needed := _cost(settings)["checkpoint_bytes"] * 2):
             raise InputError(
                 f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
             )
         result = train(
-            folder, settings, seed=self.seed, device=self.device, resume=self.resume, stop_after=self.stop_after,
-            name=self.recipe, say=_say,
+            folder, settings, seed=self.seed, device=self.device, gpus=self.gpus, init=first, resume=self.resume,
+            stop_after=self.stop_after, name=self.recipe, say=_say,
         )  # fmt: skip
         return Outcome(text=_summary(result), data=_data(result), result=result)
+
+
+def _first(name: str) -> PicturedNetwork:
+    """The trained policy of a name."""
+    from sim_kinematic.policies.learned import is_learned, network_of
+    from sim_kinematic.policies.pictured import PicturedNetwork
+
+    network = network_of(name) if is_learned(name) else None
+    if not isinstance(network, PicturedNetwork):
+        raise InputError(f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.")
+    return network
 
 
 def _say(line: str) -> None:

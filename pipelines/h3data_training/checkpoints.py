@@ -1,0 +1,82 @@
+"""Everything that a run goes on from, in one file of numbers: of several processes, the worlds of all of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from h3data.errors import FormatError, InputError
+from h3data_training.ppo import Learner
+from h3data_training.settings import Settings
+
+FORMAT = "h3data.training/1"
+FREE = ("minutes", "updates")
+"""Settings that may change when a run goes on: they only say how long it is."""
+
+
+def state_of(learner: Learner) -> dict[str, Any]:
+    """Weights, optimizer, random numbers and all worlds. Every process has to call it."""
+    m, everyone = learner.memory, learner.ranks.gathered
+    return {
+        "net": learner.net.state_dict(), "optimizer": learner.optimizer.state_dict(),
+        "dice": everyone(learner.dice.get_state()[None].to(m.state.device)),
+        "play": [everyone(t) for t in learner.worlds.play.tensors()],
+        "shown": {n: everyone(t) for n, t in m.shown.items()}, "state": everyone(m.state), "last": everyone(m.last),
+        "over": everyone(m.over),
+    }  # fmt: skip
+
+
+def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
+    """Puts a learner where the one of `state_of` was.
+
+    Raises:
+        FormatError: the checkpoint does not fit.
+        InputError: it is of another number of processes.
+    """
+    m, own, where = learner.memory, learner.ranks.own, learner.worlds.device
+    try:
+        dice = kept["dice"].cpu()
+        dice = dice[None] if dice.ndim == 1 else dice  # of before there were several processes
+        if len(dice) != learner.ranks.count:
+            raise InputError(
+                f"The run in this folder is one of {len(dice)} processes, not {learner.ranks.count}. "
+                f"Hint: --gpus {len(dice)}. File: {path}"
+            )
+        learner.net.load_state_dict(kept["net"])
+        learner.optimizer.load_state_dict(kept["optimizer"])
+        learner.dice.set_state(own(dice)[0].clone())  # a part of a tensor crashes torch
+        for mine, theirs in zip(learner.worlds.play.tensors(), kept["play"], strict=True):
+            mine.copy_(own(theirs))
+        m.shown = {n: own(t).to(where) for n, t in kept["shown"].items()}
+        m.state, m.last, m.over = (own(kept[n]).to(where) for n in ("state", "last", "over"))
+    except (KeyError, RuntimeError, ValueError) as fault:
+        reason = str(fault).splitlines()[0]
+        raise FormatError(f"The checkpoint does not fit ({reason}). File: {path}") from None
+
+
+def read(path: Path, settings: Settings, seed: int) -> dict[str, Any]:
+    """A checkpoint of the same settings and seed.
+
+    Raises:
+        FormatError: it is none, or damaged.
+        InputError: it is of other settings.
+    """
+    try:
+        kept = torch.load(path, map_location="cpu", weights_only=True)  # numbers only: nothing in it is executed
+        then = kept["settings"] | {"seed": kept["seed"]}
+        fits = kept["format"] == FORMAT
+    except Exception as fault:  # torch raises whatever the bytes lead to
+        raise FormatError(f"Expected a checkpoint of h3data train, this is none, or damaged ({type(fault).__name__}). "
+                          f"Hint: --force begins anew. File: {path}") from None  # fmt: skip
+    if not fits:
+        raise FormatError(f"Expected a checkpoint {FORMAT}, got {kept['format']}. File: {path}")
+    now = settings.as_dict() | {"seed": seed}
+    then = Settings().as_dict() | then  # settings that are newer than the checkpoint have their defaults
+    other = [f"{n}={then.get(n)!r}, not {now[n]!r}" for n in now if n not in FREE and then.get(n) != now[n]]
+    if other:
+        raise InputError(
+            f"The run in this folder has {'; '.join(other)}. Hint: name the same settings, or another folder."
+        )
+    return kept

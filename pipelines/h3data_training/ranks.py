@@ -1,0 +1,125 @@
+"""Several processes that train one policy together, one for each GPU: `torch.distributed` behind a few plain functions."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+from torch._utils import _flatten_dense_tensors, _unflatten_dense_tensors
+
+from h3data.errors import InputError
+
+TORCHRUN = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
+"""Variables that torchrun sets in the processes it starts."""
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """One process among those of a run; alone, every function returns what it is given, unchanged."""
+
+    rank: int = 0
+    count: int = 1
+
+    @property
+    def is_first(self) -> bool:
+        """Whether this process writes the files and speaks."""
+        return self.rank == 0
+
+    def sum(self, tensor: Tensor) -> Tensor:
+        """The sum over all processes, the same bits in each of them."""
+        if self.count > 1:
+            tensor = tensor.contiguous().clone()
+            dist.all_reduce(tensor)
+        return tensor
+
+    def mean(self, tensor: Tensor) -> Tensor:
+        """The mean over all processes."""
+        return self.sum(tensor) / self.count if self.count > 1 else tensor
+
+    def variance(self, tensor: Tensor) -> Tensor:
+        """The variance of all elements in all processes, each of which holds as many."""
+        if self.count == 1:
+            return tensor.var()
+        number = tensor.numel() * self.count
+        middle = self.sum(tensor.sum()) / number
+        return self.sum((tensor - middle).square().sum()) / (number - 1)
+
+    def first(self, tensor: Tensor) -> Tensor:
+        """What the first process holds."""
+        if self.count > 1:
+            tensor = tensor.contiguous().clone()
+            dist.broadcast(tensor, 0)
+        return tensor
+
+    def gathered(self, tensor: Tensor) -> Tensor:
+        """The rows of all processes, one after the other."""
+        if self.count == 1:
+            return tensor
+        rows = tensor.to(torch.uint8) if tensor.dtype == torch.bool else tensor
+        parts = [torch.empty_like(rows, memory_format=torch.contiguous_format) for _ in range(self.count)]
+        dist.all_gather(parts, rows.contiguous())
+        return torch.cat(parts).to(tensor.dtype)
+
+    def own(self, tensor: Tensor) -> Tensor:
+        """This process's share of the rows of all of them."""
+        return tensor.chunk(self.count)[self.rank] if self.count > 1 else tensor
+
+    def average_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
+        """Replaces gradients by their means over all processes: one all-reduce of a single flat tensor."""
+        if self.count == 1:
+            return
+        given = [p.grad for p in parameters if p.grad is not None]
+        flat = _flatten_dense_tensors(given)
+        dist.all_reduce(flat)
+        flat /= self.count
+        for gradient, mean in zip(given, _unflatten_dense_tensors(flat, given), strict=True):
+            gradient.copy_(mean)
+
+
+def torchrun_place() -> tuple[int, int] | None:
+    """Rank and number of processes that torchrun gave this process, None where it did not start it."""
+    if any(name not in os.environ for name in TORCHRUN):
+        return None
+    return int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])
+
+
+def own_place(device: str) -> tuple[Ranks, str]:
+    """This process's place among those of the run, and its device: of several GPUs it sees one. Call it before CUDA begins.
+
+    Raises:
+        InputError: there is no GPU for it.
+    """
+    place = torchrun_place()
+    if place is not None and device.startswith("cuda"):
+        local = int(os.environ["LOCAL_RANK"])
+        visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+        chosen = visible.split(",") if visible else [str(k) for k in range(local + 1)]
+        os.environ["CUDA_VISIBLE_DEVICES"] = chosen[local] if local < len(chosen) else ""
+        device = "cuda"
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        if place is not None and place[1] > 1:
+            raise InputError(f"Expected a GPU for each of {place[1]} processes, found none for number {place[0]}.")
+        raise InputError("There is no GPU that this torch can use. Hint: --device cpu with --recipe tiny.")
+    return Ranks(*place) if place else Ranks(), device
+
+
+def connect(ranks: Ranks, device: torch.device) -> None:
+    """Waits for the other processes. Call it after CUDA graphs have been captured, which NCCL's threads would disturb."""
+    if ranks.count == 1:
+        return
+    if device.type == "cuda":
+        # NVLink multicast may put the GPUs of a shared host out of service, and gains nothing for a few MB
+        os.environ["NCCL_NVLS_ENABLE"] = "0"
+        dist.init_process_group("nccl", rank=ranks.rank, world_size=ranks.count)
+    else:
+        dist.init_process_group("gloo", rank=ranks.rank, world_size=ranks.count)
+
+
+def leave() -> None:
+    """Leaves the other processes."""
+    if dist.is_initialized():
+        dist.destroy_process_group()
