@@ -159,7 +159,7 @@ def test_settings_out_of_range_are_refused(changes: dict[str, Any], message: str
 
 
 def test_unknown_recipes_are_refused() -> None:
-    with pytest.raises(InputError, match="Expected one of: fast, tiny"):
+    with pytest.raises(InputError, match="Expected one of: fast, paper, tiny"):
         recipe("huge")
     assert RECIPES["fast"].decisions_per_update == 4096 * 32
 
