@@ -15,6 +15,7 @@ from torch.nn import functional as F
 
 from h3data.errors import InputError
 from h3data_training.settings import CRITIC, Settings
+from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM
 from sim_kinematic.policies.pictured import (
     ENCODINGS,
     PATCH,
@@ -24,7 +25,6 @@ from sim_kinematic.policies.pictured import (
     number_count,
     picture_length,
 )
-from sim_kinematic.torch.resnet_lstm import ResNetLSTM
 
 Shown = Mapping[str, Tensor]
 

@@ -26,9 +26,9 @@ from h3data_training.ppo import Learner, schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
 from h3data_training.settings import Settings
 from h3data_training.worlds import HeldWorlds
+from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.torch.episodes import EpisodeBank
-from sim_kinematic.torch.resnet_lstm import ResNetPolicy
 
 CHECKPOINT, POLICY = "checkpoint.pt", "policy.npz"
 SPARE_S = 10.0

@@ -88,7 +88,7 @@ def _loaded(path: Path, changed_ns: int) -> Network | PicturedNetwork:
 def _kind_of(network: str) -> type[PicturedNetwork]:
     """What the card of a policy file names; PyTorch is imported for one that needs it."""
     if network == "resnet18_lstm":
-        from sim_kinematic.torch.resnet_lstm import ResNetPolicy
+        from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 
         return ResNetPolicy
     return PicturedNetwork

@@ -18,8 +18,8 @@ from h3data_training.networks import actor_numbers, network
 from h3data_training.run import POLICY, train
 from h3data_training.settings import recipe
 from sim_kinematic.policies.learned import network_of
+from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM, ResNetPolicy
 from sim_kinematic.policies.pictured import FILE_FORMAT
-from sim_kinematic.torch.resnet_lstm import ResNetLSTM, ResNetPolicy
 from tests.training.runs import small
 
 SETTINGS = small(network="resnet18_lstm", picture_size=(30, 22), channels=(16, 1, 1), features=8, hidden=6, updates=2)
@@ -45,6 +45,7 @@ def test_it_learns_and_its_file_gives_what_was_trained(folder: Path) -> None:
     net.take(policy.arrays)
     rng = np.random.default_rng(0)
     state, last, kept = torch.zeros(1, net.state_length), torch.zeros(1, 2), policy.start()
+    shown: dict[str, np.ndarray] = {}
     for _ in range(5):
         shown = {
             "arm_depth": rng.uniform(0, 1, (22, 30, 1)).astype(np.float32), "humanoid_detector": np.ones(1, np.float32),
