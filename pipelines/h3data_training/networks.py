@@ -15,6 +15,7 @@ from torch.nn import functional as F
 
 from h3data.errors import InputError
 from h3data_training.settings import CRITIC, Settings
+from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM
 from sim_kinematic.policies.pictured import (
     ENCODINGS,
     PATCH,
@@ -56,7 +57,7 @@ def critic_length() -> int:
 
 def picture(depth: Tensor) -> Tensor:
     """Near things in more detail, squares of pixels as channels: [n, H, W, 1] -> [n, 16, H / 4, W / 4], half precision, in
-    which the rollouts of 4,096 worlds take 0.4 GB."""
+    which the rollouts of 4,096 worlds take 0.8 GB."""
     return F.pixel_unshuffle(depth.permute(0, 3, 1, 2).sqrt().half(), PATCH)
 
 
@@ -66,28 +67,37 @@ class ActorCritic(nn.Module):
     def __init__(self, settings: Settings) -> None:
         super().__init__()
         s, numbers = settings, number_count(settings.observations)
-        self.least_std, self.sees, self.hidden = s.least_std, "arm_depth" in s.observations, s.hidden
-        seen = s.features if self.sees else 0
+        self.least_std, self.sees = s.least_std, "arm_depth" in s.observations
+        self.state_length = s.hidden
+        last = self._make_actor(s, numbers)
+        told = critic_length()
+        self.auxiliary = nn.Sequential(nn.Linear(s.hidden, 128), nn.ELU(), nn.Linear(128, told - 1))
+        self.log_std = nn.Parameter(torch.full((2,), math.log(s.std)))
+        self.worth = nn.Sequential(nn.Linear(told, 256), nn.ELU(), nn.Linear(256, 256), nn.ELU(), nn.Linear(256, 1))
+        with torch.no_grad():  # the first policy hardly moves: it explores by its noise, around standing still
+            last.weight.mul_(0.05)
+            last.bias.zero_()
+
+    def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
+        """Makes the layers of the actor and returns the last one."""
         if self.sees:
             widths = (PATCH * PATCH, *s.channels)
             self.convolutions = nn.ModuleList(
                 nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1) for k, stride in enumerate(STRIDES)
             ).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
             self.picture = nn.Linear(s.channels[-1] * picture_length(s.picture_size), s.features)
-        self.gru = nn.GRU(seen + numbers, s.hidden)
+        self.gru = nn.GRU((s.features if self.sees else 0) + numbers, s.hidden)
         self.act = nn.Sequential(nn.Linear(s.hidden + numbers, 256), nn.ELU(), nn.Linear(256, 2))
-        told = critic_length()
-        self.auxiliary = nn.Sequential(nn.Linear(s.hidden, 128), nn.ELU(), nn.Linear(128, told - 1))
-        self.log_std = nn.Parameter(torch.full((2,), math.log(s.std)))
-        self.worth = nn.Sequential(nn.Linear(told, 256), nn.ELU(), nn.Linear(256, 256), nn.ELU(), nn.Linear(256, 1))
-        with torch.no_grad():  # the first policy hardly moves: it explores by its noise, around standing still
-            last = self.act[-1]
-            assert isinstance(last, nn.Linear)
-            last.weight.mul_(0.05)
-            last.bias.zero_()
+        last = self.act[-1]
+        assert isinstance(last, nn.Linear)
+        return last
 
     def std(self) -> Tensor:
         return self.log_std.exp().clamp_min(self.least_std)
+
+    def pixels(self, depth: Tensor) -> Tensor:
+        """Depth [n, H, W, 1] as it is kept in rollouts."""
+        return picture(depth)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
         """What goes into the recurrent layer, [n, F]."""
@@ -100,13 +110,22 @@ class ActorCritic(nn.Module):
             seen = F.relu(self.picture(x.flatten(1)))
         return torch.cat([seen.float(), numbers], -1)
 
+    def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """What is known after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
+        out, after = self.gru(x, state[None])
+        return out, after[0]
+
+    def head(self, known: Tensor, numbers: Tensor) -> Tensor:
+        """Mean actions [..., 2]."""
+        return self.act(torch.cat([known, numbers], -1))
+
     def step(self, pixels: Tensor | None, numbers: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean actions [n, 2] and next states [n, H]."""
-        out, state = self.gru(self.features(pixels, numbers)[None], state[None])
-        return self.act(torch.cat([out[0], numbers], 1)), state[0]
+        """Mean actions [n, 2] and next states [n, S]."""
+        out, state = self.remember(self.features(pixels, numbers)[None], state)
+        return self.head(out[0], numbers), state
 
     def roll(self, x: Tensor, state: Tensor, begins: Tensor) -> Tensor:
-        """The recurrent state after each step [T, B, H] of features [T, B, F], reset before a step that ``begins`` an episode.
+        """What is known after each step [T, B, H] of features [T, B, F], the state [B, S] reset before steps that ``begins``.
 
         cuDNN cannot reset within a sequence, so parts of episodes are put beside each other and the short ones padded: features
         only, since padding the pictures too took most of the time of an update.
@@ -121,7 +140,7 @@ class ActorCritic(nn.Module):
         padded = x.new_zeros(steps * len(where), width).index_copy(0, at, x.flatten(0, 1))
         first = x.new_zeros(len(where), state.shape[1])
         first = first.index_copy(0, part[::steps], state * ~begins[0][:, None])
-        out = self.gru(padded.view(steps, len(where), width), first[None])[0]
+        out, _ = self.remember(padded.view(steps, len(where), width), first)
         return out.flatten(0, 1).index_select(0, at).view(steps, batch, -1)
 
     def take(self, arrays: Mapping[str, Any]) -> None:
@@ -158,6 +177,36 @@ class ActorCritic(nn.Module):
         return named
 
 
+class ResNetActorCritic(ActorCritic):
+    """The same with the paper's actor, and our critic."""
+
+    def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
+        size = s.picture_size if self.sees else None
+        self.actor = ResNetLSTM(numbers, size=size, planes=s.channels[0], features=s.features, hidden=s.hidden)
+        self.state_length = self.actor.state_length
+        return self.actor.act
+
+    def pixels(self, depth: Tensor) -> Tensor:
+        return depth.permute(0, 3, 1, 2).half()
+
+    def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
+        return self.actor.features(pixels, numbers)
+
+    def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        return self.actor.remember(x, state)
+
+    def head(self, known: Tensor, numbers: Tensor) -> Tensor:
+        return self.actor.act(known)
+
+    def _named(self) -> dict[str, Any]:
+        return dict(self.actor.named_parameters())
+
+
+def network(settings: Settings) -> ActorCritic:
+    """Fresh weights of what the settings name."""
+    return {"cnn_gru": ActorCritic, "resnet18_lstm": ResNetActorCritic}[settings.network](settings)
+
+
 def begin_with(net: ActorCritic, policy: PicturedNetwork, settings: Settings) -> dict[str, Any]:
     """Replaces the actor by a trained one; returns what its card says of its training, and of what came before that.
 
@@ -166,6 +215,7 @@ def begin_with(net: ActorCritic, policy: PicturedNetwork, settings: Settings) ->
     """
     card, s = policy.card, settings
     pairs = {
+        "network": (card.network, s.network),
         "observations": (card.observations, s.observations), "robot": (card.robot, s.robot),
         "picture_size": (card.picture_size or s.picture_size, s.picture_size),
     }  # fmt: skip

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from h3data_training.networks import ActorCritic, actor_numbers, critic_numbers, picture
+from h3data_training.networks import actor_numbers, critic_numbers, network
 from h3data_training.ranks import Ranks
 from h3data_training.settings import Settings
 from h3data_training.worlds import COUNTS, HeldWorlds
@@ -26,7 +26,7 @@ class Memory:
 
     shown: dict[str, Tensor]
     state: Tensor
-    """Recurrent state, [W, H]."""
+    """Recurrent state, [W, S]."""
     last: Tensor
     """Last action, clipped, [W, 2]; 0 where an episode has begun since."""
     over: Tensor
@@ -62,14 +62,14 @@ class Learner:
         device = worlds.device
         torch.manual_seed(seed)  # initial weights, the same in every process
         self.dice = torch.Generator(device).manual_seed(seed + RANK_SEED * self.ranks.rank)
-        self.net = ActorCritic(settings).to(device)
+        self.net = network(settings).to(device)
         fused = True if device.type == "cuda" else None
         self.optimizer = torch.optim.Adam(self.net.parameters(), settings.rate, eps=1e-5, fused=fused)
         count = worlds.num_envs
         first = self.ranks.rank * count
         self.memory = Memory(
             shown=worlds.reset(seed=[seed + first + w for w in range(count)])[0],
-            state=torch.zeros(count, settings.hidden, device=device),
+            state=torch.zeros(count, self.net.state_length, device=device),
             last=torch.zeros(count, 2, device=device),
             over=torch.zeros(count, dtype=torch.bool, device=device),
         )
@@ -97,7 +97,7 @@ class Learner:
     def _inputs(self, over: Tensor) -> dict[str, Tensor]:
         shown, s = self.memory.shown, self.settings
         found = {"numbers": actor_numbers(shown, self.memory.last, s.observations), "told": critic_numbers(shown, over)}
-        return found | ({"pixels": picture(shown["arm_depth"])} if self.net.sees else {})
+        return found | ({"pixels": self.net.pixels(shown["arm_depth"])} if self.net.sees else {})
 
     @torch.no_grad()
     def _collect(self, gamma: float) -> dict[str, Tensor]:
@@ -160,7 +160,7 @@ class Learner:
                 pixels = kept["pixels"][:, rows].flatten(0, 1) if net.sees else None
                 features = net.features(pixels, x["numbers"].flatten(0, 1)).view(s.rollout, len(rows), -1)
                 state = net.roll(features, first[rows], x["begins"])
-                mean, std = net.act(torch.cat([state, x["numbers"]], -1)), net.std()
+                mean, std = net.head(state, x["numbers"]), net.std()
                 log_prob = (-0.5 * ((x["action"] - mean) / std).square() - std.log()).sum(-1)
                 ratio, gain = (log_prob - x["log_prob"]).exp(), advantages[:, rows]
                 clipped = ratio.clamp(1 - s.clip, 1 + s.clip)

@@ -26,6 +26,7 @@ from h3data_training.ppo import Learner, schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
 from h3data_training.settings import Settings
 from h3data_training.worlds import HeldWorlds
+from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.torch.episodes import EpisodeBank
 
@@ -286,10 +287,11 @@ class _Run:
         s, updates = self.settings, len(self.curve)
         last = {k: self.curve[-1][k] for k in ("reward", "follows", "collided", "met")} if self.curve else {}
         pictured = {"arm_depth", "humanoid_detector"} & set(s.observations)
-        return PicturedNetwork(
+        kind = PicturedNetwork if s.network == "cnn_gru" else ResNetPolicy
+        return kind(
             card=PolicyCard(
                 task="social_nav", robot=s.robot, observations=s.observations,
-                picture_size=s.picture_size if pictured else None, hold=s.hold,
+                picture_size=s.picture_size if pictured else None, hold=s.hold, network=s.network,
                 training={
                     "recipe": self.job.name, "seed": self.job.seed, "updates": updates,
                     "decisions": updates * s.decisions_per_update, "steps": updates * s.decisions_per_update * s.hold,

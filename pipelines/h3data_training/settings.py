@@ -11,6 +11,7 @@ from sim_kinematic.policies.pictured import ENCODINGS, PATCH
 
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
 """What the paper's policy sees (appendix, social navigation)."""
+NETWORKS = ("cnn_gru", "resnet18_lstm")
 CRITIC = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
 """What the critic is told in training; the policy file has none of it."""
 
@@ -38,6 +39,8 @@ class Settings:
     """Steps of 1/30 s for which an action is held: a picture costs more than a step, and credit reaches farther. Holding for 3
     costs a follower trained for 1 most of its distance keeping at the paper's 2.5 m/s, less at a walking speed."""
 
+    network: str = "cnn_gru"
+    """``cnn_gru``: three convolutions and a GRU. ``resnet18_lstm``: the paper's, with ``channels[0]`` planes at first."""
     channels: tuple[int, int, int] = (32, 64, 64)
     features: int = 256
     """Numbers that are left of a picture."""
@@ -82,8 +85,15 @@ class Settings:
         for name in whole:
             if getattr(self, name) < 1:
                 raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
-        if any(side < PATCH or side % PATCH for side in self.picture_size):
+        if self.network not in NETWORKS:
+            raise InputError(f"Unknown network {self.network!r}. Expected one of: {', '.join(NETWORKS)}.")
+        if self.network == "cnn_gru" and any(side < PATCH or side % PATCH for side in self.picture_size):
             raise InputError(f"Expected pictures with sides in multiples of {PATCH} pixels, got {self.picture_size}.")
+        if self.network == "resnet18_lstm" and (min(self.picture_size) < 8 or self.channels[0] % 16):
+            raise InputError(
+                f"Expected pictures of at least 8 pixels a side and multiples of 16 planes for {self.network}, "
+                f"got {self.picture_size} and {self.channels[0]}."
+            )
         if self.worlds % self.minibatches:
             raise InputError(f"Expected worlds in multiples of minibatches={self.minibatches}, got {self.worlds}.")
         if self.follow_steps < 0 or self.critic_updates < 0:
@@ -113,12 +123,18 @@ def _plain(value: Any) -> Any:
 
 RECIPES: dict[str, Settings] = {
     "fast": Settings(),
+    "paper": Settings(
+        network="resnet18_lstm", picture_size=(224, 171), features=512, hidden=512, hold=1, worlds=96, rollout=128,
+        minibatches=2, rate=1e-4, entropy=0.01, gradient_norm=0.2, horizon=(100.0, 100.0), near_m=0.0, auxiliary=0.0,
+        updates=16_276,
+    ),
     "tiny": Settings(
         episodes_per_home=8, observations=("humanoid_gps", "range_scan"), picture_size=(32, 24), worlds=512, rollout=16,
         channels=(8, 16, 16), features=32, hidden=64, rate=2e-3, entropy=0.0, minutes=10.0,
     ),
 }  # fmt: skip
-"""``fast``: one GPU, minutes. ``tiny``: a CPU core, and no pictures: the robot is told where the person and walls are."""
+"""``paper``: as published, but for the critic, which is told the map, and the rate, which falls. ``fast``: one GPU,
+minutes. ``tiny``: a CPU core, and no pictures: the robot is told where the person and walls are."""
 
 
 def recipe(name: str, **changes: Any) -> Settings:

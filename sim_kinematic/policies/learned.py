@@ -76,13 +76,22 @@ def _loaded(path: Path, changed_ns: int) -> Network | PicturedNetwork:
     del changed_ns  # a file that has changed is read again
     found, data = files.read_arrays(path)
     if found == pictured.FILE_FORMAT:
-        return pictured.pictured_from(data, path)
+        return pictured.pictured_from(data, path, kind_of=_kind_of)
     if found == files.FILE_FORMAT:
         return files.network_from(data, path)
     raise FormatError(
         f"Expected a file of weights ({files.FILE_FORMAT}) or a trained policy ({pictured.FILE_FORMAT}), got {found}. "
         f"{files.HINT} File: {path}"
     )
+
+
+def _kind_of(network: str) -> type[PicturedNetwork]:
+    """What the card of a policy file names; PyTorch is imported for one that needs it."""
+    if network == "resnet18_lstm":
+        from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
+
+        return ResNetPolicy
+    return PicturedNetwork
 
 
 # --- social navigation --------------------------------------------------------------------------------------------------

@@ -11,12 +11,12 @@ The file is an npz of float32 arrays and one JSON text. Nothing in it is execute
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -69,6 +69,8 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Width and height of ``arm_depth`` and of the detector's picture [pixels]."""
     hold: int
     """Steps of 1/30 s for which an action is held."""
+    network: str = "cnn_gru"
+    """Which layers there are: ``cnn_gru``, or ``resnet18_lstm``, the paper's."""
     training: dict[str, Any] = {}
     """How it came about: recipe, seed, steps, hardware, versions."""
 
@@ -82,9 +84,10 @@ class PicturedNetwork:
     """By name as in the file: ``conv_0.weight`` [out, in, 3, 3], ``picture.weight`` [features, flat], ``gru.weight_ih``
     [3 H, in], ``gru.weight_hh`` [3 H, H], ``act_0.weight``, ``act_1.weight`` [2, n], and a bias for each."""
     outputs: int = field(default=2, init=False)
+    kind: ClassVar[str] = "cnn_gru"
 
     def __post_init__(self) -> None:
-        faults = _faults(self.card, self.arrays)
+        faults = _faults(type(self), self.card, self.arrays)
         if faults:
             raise InputError(f"These arrays make no policy: {'; '.join(faults)}.")
 
@@ -105,7 +108,8 @@ class PicturedNetwork:
     def digest(self) -> str:
         """SHA-256 of all that decides what it does."""
         card = self.card
-        found = sha256(repr((card.task, card.observations, card.picture_size, card.hold)).encode())
+        about = (card.task, card.observations, card.picture_size, card.hold)
+        found = sha256(repr(about if card.network == "cnn_gru" else (*about, card.network)).encode())
         for name, array in sorted(self.arrays.items()):
             found.update(f"{name}{array.shape}".encode() + array.tobytes())
         return found.hexdigest()
@@ -130,6 +134,36 @@ class PicturedNetwork:
         hidden = self._layer("act_0", np.concatenate([state, numbers]))
         hidden = np.where(hidden > 0, hidden, np.expm1(np.minimum(hidden, 0)))
         return self._layer("act_1", hidden), state.astype(np.float32)
+
+    @classmethod
+    def size_fault(cls, size: tuple[int, int]) -> str:
+        """What sizes of pictures it expects, where this is none of them."""
+        fits = all(side % PATCH == 0 and PATCH <= side <= 1024 for side in size)
+        return "" if fits else f"multiples of {PATCH} up to 1024"
+
+    @classmethod
+    def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
+        """Of all arrays, by name, with the widths that those at hand have."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        features = 0
+        if "arm_depth" in card.observations:
+            assert card.picture_size is not None
+            last = PATCH * PATCH
+            for k in range(len(STRIDES)):
+                out = _rows(arrays, f"conv_{k}.weight")
+                shapes |= {f"conv_{k}.weight": (out, last, 3, 3), f"conv_{k}.bias": (out,)}
+                last = out
+            features = _rows(arrays, "picture.weight")
+            shapes |= {
+                "picture.weight": (features, last * picture_length(card.picture_size)), "picture.bias": (features,)
+            }  # fmt: skip
+        numbers = number_count(card.observations)
+        state, wide = _rows(arrays, "gru.weight_ih") // 3, _rows(arrays, "act_0.weight")
+        return shapes | {
+            "gru.weight_ih": (3 * state, features + numbers), "gru.weight_hh": (3 * state, state),
+            "gru.bias_ih": (3 * state,), "gru.bias_hh": (3 * state,), "act_0.weight": (wide, state + numbers),
+            "act_0.bias": (wide,), "act_1.weight": (2, wide), "act_1.bias": (2,),
+        }  # fmt: skip
 
     @cached_property
     def _columns(self) -> dict[str, Floats]:
@@ -209,8 +243,10 @@ def picture_length(size: tuple[int, int]) -> int:
     return width * height
 
 
-def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
+def _faults(kind: type[PicturedNetwork], card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
     """Everything that does not fit together, in words."""
+    if card.network != kind.kind:
+        return [f"unknown network {card.network!r}, expected {kind.kind}"]
     strangers = [n for n in card.observations if n != "arm_depth" and n not in ENCODINGS]
     if strangers:
         return [f"unknown observations {', '.join(strangers)}, there are arm_depth, {', '.join(ENCODINGS)}"]
@@ -218,33 +254,11 @@ def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
         return ["expected some observations, each once"]
     if not 1 <= card.hold <= 30:
         return [f"actions are held for {card.hold} steps, expected 1 to 30"]
-    sees = "arm_depth" in card.observations
-    size = card.picture_size
-    if (sees or "humanoid_detector" in card.observations) and (
-        size is None or any(side % PATCH or not PATCH <= side <= 1024 for side in size)
-    ):
-        return [f"the picture size is {size}, expected multiples of {PATCH} up to 1024"]
-    shapes: dict[str, tuple[int | None, ...]] = {}
-    features = 0
-    if sees:
-        assert size is not None
-        last = PATCH * PATCH
-        for k in range(len(STRIDES)):
-            out = _rows(arrays, f"conv_{k}.weight")
-            shapes |= {f"conv_{k}.weight": (out, last, 3, 3), f"conv_{k}.bias": (out,)}
-            last = out
-        features = _rows(arrays, "picture.weight")
-        shapes |= {"picture.weight": (features, last * picture_length(size)), "picture.bias": (features,)}
-    numbers, state, wide = (
-        number_count(card.observations),
-        _rows(arrays, "gru.weight_ih") // 3,
-        _rows(arrays, "act_0.weight"),
-    )
-    shapes |= {
-        "gru.weight_ih": (3 * state, features + numbers), "gru.weight_hh": (3 * state, state),
-        "gru.bias_ih": (3 * state,), "gru.bias_hh": (3 * state,),
-        "act_0.weight": (wide, state + numbers), "act_0.bias": (wide,), "act_1.weight": (2, wide), "act_1.bias": (2,),
-    }  # fmt: skip
+    if {"arm_depth", "humanoid_detector"} & set(card.observations):
+        fault = "a width and a height" if card.picture_size is None else kind.size_fault(card.picture_size)
+        if fault:
+            return [f"the picture size is {card.picture_size}, expected {fault}"]
+    shapes = kind.shapes(card, arrays)
     faults = [f"the array {name} is missing" for name in shapes if name not in arrays]
     faults += [f"unknown array {name}" for name in arrays if name not in shapes]
     for name, array in arrays.items():
@@ -269,15 +283,23 @@ def save_pictured(network: PicturedNetwork, path: str | Path) -> None:
         np.savez(stream, **text, **network.arrays)  # type: ignore[arg-type]
 
 
-def pictured_from(data: Mapping[str, NDArray[Any]], path: str | Path) -> PicturedNetwork:
+def pictured_from(
+    data: Mapping[str, NDArray[Any]], path: str | Path, *, kind_of: Callable[[str], type[PicturedNetwork]]
+) -> PicturedNetwork:
     """The policy in the arrays of a file.
+
+    Args:
+        data: Arrays by name.
+        path: Of the file, for messages.
+        kind_of: What a network of that name on a card is.
 
     Raises:
         FormatError: it is damaged, or its parts do not fit together.
     """
     try:
         card = msgspec.json.decode(str(data["card"]), type=PolicyCard)
-        return PicturedNetwork(card=card, arrays={n: a for n, a in data.items() if n not in ("format", "card")})
+        arrays = {n: a for n, a in data.items() if n not in ("format", "card")}
+        return kind_of(card.network)(card=card, arrays=arrays)
     except KeyError as fault:
         raise FormatError(f"The policy file lacks the array {fault}. File: {path}") from None
     except (msgspec.MsgspecError, json.JSONDecodeError, UnicodeError) as fault:

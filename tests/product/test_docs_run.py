@@ -183,8 +183,9 @@ def shortened(words: list[str]) -> list[str]:
             words = [*_without(words, "--episodes", "--workers"), "--episodes", episodes]
             words += [] if "rearrange" in words else ["--max-steps", "20"]
         case ["train", *_]:
-            words = _without(words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds")
-            words += ["--scenes", "h3-homes/train#0", "--worlds", "4", "--updates", "1"]
+            words = _without(words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds", "--rollout")
+            words += ["--recipe", "fast"] if "--init" in words else []
+            words += ["--scenes", "h3-homes/train#0", "--worlds", "8", "--updates", "1"]
         case ["demo", *_]:
             words = [*words, "--steps", "450"]
         case ["scenes", "validate" | "list", *_]:

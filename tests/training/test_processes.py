@@ -171,10 +171,32 @@ def test_a_stop_reaches_all_processes() -> None:
 
 @pytest.mark.slow
 def test_an_interrupted_run_of_two_saves(bank: EpisodeBank, tmp_path: Path) -> None:
-    threading.Timer(12.0, os.kill, (os.getpid(), signal.SIGTERM)).start()
-    result = train(tmp_path, replace(BLIND, updates=100_000), gpus=2, bank=bank)
+    def interrupt(line: str) -> None:
+        if "update 1 " in line:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    result = train(tmp_path, replace(BLIND, updates=100_000), gpus=2, bank=bank, say=interrupt)
     assert not result.done
-    assert len(curve_of(tmp_path)) == result.updates
+    assert len(curve_of(tmp_path)) == result.updates >= 1
+
+
+def test_a_process_sees_its_own_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {
+        "RANK": "1",
+        "LOCAL_RANK": "1",
+        "WORLD_SIZE": "2",
+        "MASTER_ADDR": "x",
+        "MASTER_PORT": "1",
+    }.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: os.environ["CUDA_VISIBLE_DEVICES"] != "")
+    for visible, chosen in {"4,7": "7", "": "1"}.items():
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+        assert own_place("cuda") == (Ranks(1, 2), "cuda")
+        assert os.environ["CUDA_VISIBLE_DEVICES"] == chosen
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4")
+    with pytest.raises(InputError, match="a GPU for each of 2 processes, found none for number 1"):
+        own_place("cuda")
 
 
 def test_worlds_must_split(bank: EpisodeBank, tmp_path: Path) -> None:

@@ -22,10 +22,13 @@ from h3data_training.networks import ActorCritic
 from h3data_training.ppo import schedule
 from h3data_training.run import CHECKPOINT, POLICY, train
 from h3data_training.settings import RECIPES, recipe
+from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.pictured import PicturedNetwork
 from sim_kinematic.torch.episodes import EpisodeBank
 from tests.training.runs import SMALL, small
+
+BLIND = ("humanoid_gps", "range_scan")
 
 
 @pytest.fixture(scope="module")
@@ -143,9 +146,51 @@ def test_it_trains_without_pictures_too(bank: EpisodeBank, tmp_path: Path) -> No
     assert network.card.picture_size is None
 
 
+def test_episodes_are_cut_short_after_following(bank: EpisodeBank) -> None:
+    for limit in (0, 5):
+        worlds = HeldWorlds(small(follow_steps=limit, observations=BLIND), bank, device="cpu", compile=False)
+        worlds.reset(seed=0)
+        worlds.play.followed.copy_(torch.tensor([0, 4, 5, 900]))
+        _, _, over, timed_out, idle = worlds.held(torch.zeros(4, 2))
+        cut = [False, False, True, True] if limit else [False] * 4
+        assert (over.tolist(), timed_out.tolist(), idle.tolist()) == (cut, cut, [False] * 4)
+        assert worlds.play.steps.tolist() == [1 if c else 5 for c in cut]  # the next episode has begun
+
+
+def test_a_second_stage_lets_the_critic_learn_first() -> None:
+    first = recipe("fast")
+    second = first.second_stage()
+    assert second.horizon[0] == first.horizon[1]
+    plans = [schedule(second, 0.0, update) for update in (0, 19, 20, 21, 60)]
+    assert [plan.acts for plan in plans] == [False, False, True, True, True]
+    assert plans[0].rate == plans[4].rate == second.rate  # the critic at once, the actor by and by
+    assert plans[2].rate < plans[3].rate < second.rate
+    assert all(schedule(first, 0.0, update).acts for update in (0, 1))
+
+
+def test_a_trained_policy_is_where_a_run_begins(whole: Path, bank: EpisodeBank, tmp_path: Path) -> None:
+    policy = network_of(f"weights:{whole / POLICY}")
+    assert isinstance(policy, PicturedNetwork)
+    for critic_updates, same in ((9, True), (1, False)):
+        folder = tmp_path / str(critic_updates)
+        folder.mkdir()
+        train(folder, small(critic_updates=critic_updates, updates=2, warmup_updates=0), init=policy, bank=bank)
+        after = arrays(folder)
+        assert all(np.array_equal(after[n], array) for n, array in policy.arrays.items()) == same
+    card = network_of(f"weights:{folder / POLICY}").card  # type: ignore[union-attr]
+    assert card.training["parent"]["updates"] == 3
+    assert card.training["parent"]["recipe"] == "small"
+    with pytest.raises(InputError, match="observations="):
+        train(tmp_path, small(observations=BLIND), init=policy, bank=bank)
+    assert main(["train", "social_nav", "--init", "plain_expert", "-o", str(tmp_path / "n")]) == 2
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"network": "transformer"}, "one of: cnn_gru, resnet18_lstm"),
+        ({"network": "resnet18_lstm", "channels": (8, 8, 8)}, "multiples of 16 planes"),
+        ({"follow_steps": -1}, "follow_steps and critic_updates >= 0"),
         ({"observations": ("smell",)}, "got smell"),
         ({"picture_size": (30, 20)}, "multiples of 4"),
         ({"worlds": 3}, "multiples of minibatches=4"),
@@ -159,7 +204,7 @@ def test_settings_out_of_range_are_refused(changes: dict[str, Any], message: str
 
 
 def test_unknown_recipes_are_refused() -> None:
-    with pytest.raises(InputError, match="Expected one of: fast, tiny"):
+    with pytest.raises(InputError, match="Expected one of: fast, paper, tiny"):
         recipe("huge")
     assert RECIPES["fast"].decisions_per_update == 4096 * 32
 

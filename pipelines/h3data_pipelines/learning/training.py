@@ -43,9 +43,10 @@ class Train:
     """social_nav: find a walking person and follow them, with the paper's reward."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the run."""
-    recipe: Literal["fast", "tiny"] = "tiny"
-    """Settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), tiny for a CPU (512
-    worlds, no pictures: the robot is told where the person is and how far off walls are)."""
+    recipe: Literal["fast", "paper", "tiny"] = "tiny"
+    """Settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one
+    (pictures of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where
+    the person is and how far off walls are)."""
     seed: int = 0
     """Everything random follows from it."""
     minutes: float | None = None
@@ -149,10 +150,12 @@ def _cost(settings: Settings) -> dict[str, int]:
     """Sizes that decide whether a run fits on a machine [bytes]."""
     s = settings
     pixels = s.picture_size[0] * s.picture_size[1] * ("arm_depth" in s.observations)
+    # of the recurrent state; of weights with their moments
+    state, weights = (4 * s.hidden, 110 << 20) if s.network == "resnet18_lstm" else (s.hidden, 20 << 20)
     return {
         "decisions_per_update": s.decisions_per_update,
         "rollout_bytes": s.decisions_per_update * (2 * pixels + 400),
-        "checkpoint_bytes": s.worlds * (4 * pixels + 4 * s.hidden + 400) + (20 << 20),
+        "checkpoint_bytes": s.worlds * (4 * pixels + 4 * state + 400) + weights,
     }
 
 

@@ -1,0 +1,186 @@
+"""The paper's network: ResNet18 for pictures (He et al. 2016), two layers of LSTM, a linear head. Training and play use it.
+
+As in Wijmans et al. 2019 the residual network is half as wide as the original, has group instead of batch norms, and sees a
+picture of half the size; what it finds is squeezed to about 2,048 numbers and then to 512.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from h3data.errors import InputError
+from sim_kinematic.policies.pictured import Floats, PicturedNetwork, PolicyCard, number_count
+
+KIND = "resnet18_lstm"
+GROUPS = 16
+"""Of a norm; planes come in multiples of it."""
+LAYERS = 2
+SQUEEZED = 2048
+"""About so many numbers are left of a picture before the last layer."""
+LEAST_SIDE = 8
+"""Of a picture [pixels]."""
+
+
+class _Block(nn.Module):
+    def __init__(self, given: int, planes: int, stride: int) -> None:
+        super().__init__()
+        self.conv_0 = nn.Conv2d(given, planes, 3, stride, 1, bias=False)
+        self.norm_0 = nn.GroupNorm(GROUPS, planes)
+        self.conv_1 = nn.Conv2d(planes, planes, 3, 1, 1, bias=False)
+        self.norm_1 = nn.GroupNorm(GROUPS, planes)
+        self.skip = nn.Conv2d(given, planes, 1, stride, bias=False) if stride > 1 or given != planes else None
+        self.skip_norm = None if self.skip is None else nn.GroupNorm(GROUPS, planes)
+
+    def forward(self, x: Tensor) -> Tensor:
+        inner = self.norm_1(self.conv_1(F.relu(self.norm_0(self.conv_0(x)))))
+        if self.skip is not None and self.skip_norm is not None:
+            x = self.skip_norm(self.skip(x))
+        return F.relu(inner + x)
+
+
+class ResNet18(nn.Module):
+    """Pictures [n, 1, H, W] -> features [n, F]."""
+
+    def __init__(self, size: tuple[int, int], *, planes: int, features: int) -> None:
+        """``size`` is width and height [pixels]; ``planes`` those of the first stage."""
+        super().__init__()
+        self.first = nn.Conv2d(1, planes, 7, 2, 3, bias=False)
+        self.norm = nn.GroupNorm(GROUPS, planes)
+        widths = [planes, planes, 2 * planes, 4 * planes, 8 * planes]
+        self.blocks = nn.ModuleList(
+            _Block(widths[k] if half == 0 else widths[k + 1], widths[k + 1], 2 if k and half == 0 else 1)
+            for k in range(4)
+            for half in range(2)
+        )
+        places = _places(size)
+        squeezed = max(round(SQUEEZED / places), GROUPS)
+        self.squeeze = nn.Conv2d(widths[-1], squeezed, 3, 1, 1, bias=False)
+        self.squeeze_norm = nn.GroupNorm(1, squeezed)
+        self.out = nn.Linear(squeezed * places, features)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = F.max_pool2d(F.relu(self.norm(self.first(F.avg_pool2d(x, 2)))), 3, 2, 1)
+        for block in self.blocks:
+            x = block(x)
+        return F.relu(self.out(F.relu(self.squeeze_norm(self.squeeze(x))).flatten(1)))
+
+
+def _places(size: tuple[int, int]) -> int:
+    """Positions that are left of a picture (width, height) [pixels]: it is halved once without and five times with a margin."""
+    width, height = (side // 2 for side in size)
+    for _ in range(5):
+        width, height = -(-width // 2), -(-height // 2)
+    return width * height
+
+
+class ResNetLSTM(nn.Module):
+    """The actor. Its state [n, S] is what all layers of the LSTM hold, one after the other."""
+
+    def __init__(
+        self, numbers: int, *, size: tuple[int, int] | None, planes: int = 32, features: int = 512, hidden: int = 512
+    ) -> None:
+        """``size`` of pictures; None where there are none."""
+        super().__init__()
+        self.visual = None if size is None else ResNet18(size, planes=planes, features=features)
+        self.lstm = nn.LSTM((0 if size is None else features) + numbers, hidden, LAYERS)
+        self.act = nn.Linear(hidden, 2)
+        self.state_length = 2 * LAYERS * hidden
+
+    def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
+        """What goes into the recurrent layers, [n, F], of pictures [n, 1, H, W] and numbers [n, N]."""
+        if self.visual is None or pixels is None:
+            return numbers
+        with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
+            seen = self.visual(pixels.float().contiguous(memory_format=torch.channels_last))
+        return torch.cat([seen.float(), numbers], -1)
+
+    def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """What is known after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
+        long, short = state.unflatten(1, (2 * LAYERS, -1)).transpose(0, 1).contiguous().chunk(2)
+        out, (long, short) = self.lstm(x, (long, short))
+        return out, torch.cat([long, short]).transpose(0, 1).flatten(1)
+
+    def take(self, arrays: Mapping[str, Any]) -> None:
+        """Replaces all weights."""
+        with torch.no_grad():
+            for name, tensor in self.named_parameters():
+                tensor.copy_(torch.as_tensor(arrays[name]))
+
+
+class ResNetPolicy(PicturedNetwork):
+    """The policy in a file whose card names this network, evaluated by PyTorch in one thread."""
+
+    kind = KIND
+
+    def start(self) -> Floats:
+        """As of `PicturedNetwork`."""
+        return np.zeros(2 * LAYERS * self.arrays["lstm.weight_hh_l0"].shape[1], np.float32)
+
+    def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
+        """As of `PicturedNetwork`."""
+        numbers = torch.as_tensor(self._numbers(shown, last))[None]
+        pixels = self._depth(shown["arm_depth"]) if self.sees else None
+        with torch.no_grad(), one_thread():
+            x = self._net.features(pixels, numbers)
+            out, after = self._net.remember(x[None], torch.as_tensor(state)[None])
+            return self._net.act(out[0, 0]).numpy(), after[0].numpy()
+
+    def _depth(self, depth: NDArray[Any]) -> Tensor:
+        assert self.card.picture_size
+        width, height = self.card.picture_size
+        if depth.shape != (height, width, 1):
+            raise InputError(f"Expected arm_depth [{height}, {width}, 1], got {list(depth.shape)}.")
+        # float16 as the device keeps pictures of whole rollouts
+        return torch.as_tensor(np.ascontiguousarray(depth[..., 0], np.float32))[None, None].half()
+
+    @cached_property
+    def _net(self) -> ResNetLSTM:
+        net = _net(self.card, self.arrays)
+        net.take(self.arrays)
+        return net.eval()
+
+    @classmethod
+    def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
+        """As of `PicturedNetwork`."""
+        with torch.device("meta"):
+            net = _net(card, arrays)
+        return {name: tuple(tensor.shape) for name, tensor in net.named_parameters()}
+
+    @classmethod
+    def size_fault(cls, size: tuple[int, int]) -> str:
+        """As of `PicturedNetwork`."""
+        return "" if all(LEAST_SIDE <= side <= 1024 for side in size) else f"sides of {LEAST_SIDE} to 1024"
+
+
+def _net(card: PolicyCard, arrays: Mapping[str, Floats]) -> ResNetLSTM:
+    """A network with the widths that the arrays have, as far as they have one."""
+
+    def rows(name: str, other: int) -> int:
+        return arrays[name].shape[0] if name in arrays and arrays[name].ndim else other
+
+    sees = "arm_depth" in card.observations
+    planes = max(rows("visual.first.weight", GROUPS) // GROUPS, 1) * GROUPS
+    return ResNetLSTM(
+        number_count(card.observations), size=card.picture_size if sees else None, planes=planes,
+        features=max(rows("visual.out.weight", 1), 1), hidden=max(rows("lstm.weight_hh_l0", 4) // 4, 1),
+    )  # fmt: skip
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """PyTorch in one thread: sums in one order, and no threads that wait for each other."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
