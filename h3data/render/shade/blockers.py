@@ -1,0 +1,275 @@
+"""Soft shadows of what moves: capsules that keep light from the pixels around them.
+
+A capsule takes two kinds of light from a point with normal n:
+
+- **Light from everywhere.** The sphere of radius r around the point of its axis that is nearest, at distance d in direction
+  w, covers ``max(n . w, 0) r^2 / d^2`` of the cosine-weighted hemisphere: the form factor of a sphere (Siegel and Howell,
+  "Thermal Radiation Heat Transfer"), exact while the sphere is above the horizon. It is windowed by ``(1 - (d / range)^4)^2``
+  (Karis 2013, "Real Shading in Unreal Engine 4", for lights), so that a capsule matters to few pixels.
+- **Light from one direction.** The sphere around the point of the axis that is nearest to the ray towards the light
+  (closest points of a line and a segment: Ericson 2005, "Real-Time Collision Detection", 5.1.8) covers a part of the light's
+  disc: the overlap of two discs by a smooth step between touching and containing (Oat and Sander 2007, "Ambient Aperture
+  Lighting"), times the share of the disc that the capsule can cover at most. Shadows are sharp where a foot stands on the
+  floor and dissolve with distance.
+
+Each group of capsules, one person or robot or thing, has one direction and share of the light (`h3data.render.light.field`);
+Iwanicki 2013 ("Lighting Technology of The Last of Us") splits light in this way. The point loses ``f`` of what is blocked of
+the direction and ``1 - f`` of the rest, ``f = share (n . l) / (share (n . l) + (1 - share) / 4)``: a share of 1 - s of the
+light from everywhere alike gives a surface a quarter of it. A group does not darken itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.kernels import kernel, kernel_part
+from h3data.render.raster.raster import INSTANCE, Target, View
+from h3data.render.shade.blockers_simd import (
+    ALONG,
+    ALONG_LIGHT,
+    BLOCKER_WORDS,
+    DIRECTION,
+    FADE_M,
+    GROUP,
+    KEPT_M,
+    LIGHT,
+    ORIGIN,
+    PER_ACROSS2,
+    PER_LENGTH2,
+    PER_RANGE4,
+    RADIUS,
+    RADIUS2,
+    REACH,
+    SHARE,
+    SPREAD,
+    START,
+    WIDTH,
+    begin_block,
+    block_block,
+    dim_levels_block,
+    end_group_block,
+)
+
+TILE_X, TILE_Y = 32, 16
+"""Pixels of an image that share a list of capsules."""
+_RANGE = 6.0
+"""Range of the ambient occlusion in radii, beyond `_RANGE_M`."""
+_RANGE_M = 0.15
+_FAINTEST = 1 / 30
+"""A shadow ends where it takes less of the light."""
+_SWEEP = 4
+"""Spheres that enclose a capsule and the space that it may darken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blockers:
+    """What keeps light from surfaces at one moment, and the light on what moves."""
+
+    rows: NDArray[np.float32]
+    """Capsules as laid out in `blockers_simd`, those of a group one after another, shape [N, BLOCKER_WORDS]."""
+    tints: NDArray[np.float32]
+    """Factor on the colour of each instance of the scene and its group (-1 = none), shape [I, 4]."""
+
+
+def blocker_rows(
+    capsules: NDArray[np.floating],
+    groups: NDArray[np.integer],
+    light: NDArray[np.floating],
+    share: NDArray[np.floating],
+    reach_m: NDArray[np.floating],
+) -> NDArray[np.float32]:
+    """The words of capsules.
+
+    Args:
+        capsules: Both ends of the axes and radii [N, 7] [m]. Those that are not finite are left out.
+        groups: Group of each capsule [N].
+        light: Unit direction towards the light [N, 3], equal within a group.
+        share: Share of the light that comes from it [N], likewise.
+        reach_m: How far from each capsule the first wall is, away from the light [N] [m].
+    """
+    c = np.asarray(capsules, np.float64).reshape(-1, 7)
+    known = np.isfinite(c).all(1) & (c[:, 6] > 0)
+    order = np.flatnonzero(known)[np.argsort(groups[known], kind="stable")]
+    c, light = c[order], np.asarray(light, np.float64)[order]
+    along, radius = c[:, 3:6] - c[:, :3], np.maximum(c[:, 6], 1e-3)
+    length2, to_light = (along**2).sum(1), (along * light).sum(1)
+    across2 = np.maximum(length2 - to_light**2, 0)
+    out = np.zeros((len(c), BLOCKER_WORDS), np.float32)
+    out[:, START : START + 3], out[:, ALONG : ALONG + 3], out[:, LIGHT : LIGHT + 3] = c[:, :3], along, light
+    out[:, PER_LENGTH2] = np.where(length2 > 1e-8, 1 / np.maximum(length2, 1e-8), 0)
+    out[:, ALONG_LIGHT] = to_light
+    out[:, PER_ACROSS2] = np.where(across2 > 1e-6, 1 / np.maximum(across2, 1e-6), 0)
+    out[:, RADIUS], out[:, RADIUS2] = radius, radius**2
+    width = radius + np.sqrt(across2) / 2
+    out[:, WIDTH] = width
+    out[:, REACH] = np.minimum(reach_m[order], np.sqrt(radius * width / _FAINTEST) / SPREAD)
+    out[:, PER_RANGE4] = 1 / _range_m(radius) ** 4
+    out[:, GROUP], out[:, SHARE] = groups[order], share[order]
+    return out
+
+
+def _range_m(radius: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Distance from the axis beyond which a capsule occludes nothing [m]."""
+    return _RANGE * radius + _RANGE_M
+
+
+def _spheres(rows: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Spheres that enclose all that each capsule may darken, centre and radius, shape [N, _SWEEP, 4].
+
+    The first lies around the capsule, the others along its shadow.
+    """
+    start, along, light = (rows[:, k : k + 3].astype(np.float64) for k in (START, ALONG, LIGHT))
+    radius, half = rows[:, RADIUS].astype(np.float64), np.linalg.norm(along, axis=1) / 2
+    reach = rows[:, REACH].astype(np.float64) + KEPT_M + FADE_M + half
+    ends = np.arange(1, _SWEEP) / (_SWEEP - 1)
+    middle = (ends - 0.5 / (_SWEEP - 1)) * reach[:, None]
+    out = np.empty((len(rows), _SWEEP, 4))
+    out[:, :, :3] = (start + along / 2)[:, None]
+    out[:, 1:, :3] -= middle[..., None] * light[:, None]
+    out[:, 0, 3] = half + _range_m(radius)
+    shadow = (half + radius)[:, None] + SPREAD * ends * reach[:, None] + reach[:, None] / (2 * (_SWEEP - 1)) + 0.02
+    out[:, 1:, 3] = np.where((rows[:, SHARE] > 0)[:, None], shadow, 0.0)
+    return out
+
+
+class Tiled(NamedTuple):
+    """Capsules and the tiles of an image in which they matter, for the kernels."""
+
+    rows: NDArray[np.float32]
+    tints: NDArray[np.float32]
+    """`Blockers.tints`, or [0, 4]: nothing is tinted."""
+    first: NDArray[np.int32]
+    """Where the list of each tile begins in ``listed``, row by row, shape [tiles + 1]; [0] if there are no capsules."""
+    listed: NDArray[np.int32]
+    inv_z: NDArray[np.float32]
+    """1/z of the target, also for orthographic cameras."""
+
+
+NO_BLOCKERS = Tiled(
+    np.zeros((0, BLOCKER_WORDS), np.float32),
+    np.zeros((0, 4), np.float32),
+    np.zeros(0, np.int32),
+    np.zeros(0, np.int32),
+    np.zeros((0, 0), np.float32),
+)
+
+
+def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int) -> Tiled:
+    """The capsules that matter to each tile of an image with ``factor`` samples along each axis of a pixel."""
+    if blockers is None:
+        return NO_BLOCKERS
+    nothing = NO_BLOCKERS._replace(tints=blockers.tints)
+    if not len(blockers.rows):
+        return nothing
+    inv_z = target.inv_z
+    if view.parallel:
+        inv_z = np.where(inv_z > 0, 1 / np.maximum(view.reach - inv_z, 1e-6), 0).astype(np.float32)
+    spheres = _spheres(blockers.rows)
+    seen = _on_screen(spheres, view, factor)
+    if not (seen[..., 1] > seen[..., 0]).any():
+        return nothing
+    height, width = view.height // factor, view.width // factor
+    across, down = -(-width // TILE_X), -(-height // TILE_Y)
+    first, listed = np.zeros(across * down + 1, np.int32), np.empty(across * down * len(spheres), np.int32)
+    count = _fill_tiles(seen, inv_z, factor, height, width, across, first, listed)
+    return Tiled(blockers.rows, blockers.tints, first, listed, inv_z) if count else nothing
+
+
+def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
+    """What each sphere covers: pixels from and to along x and along y, and 1/z from and to, shape [N, S, 6]."""
+    center = (spheres[..., :3] - view.eye) @ view.axes
+    x, y, z, r = center[..., 0], center[..., 1], center[..., 2], spheres[..., 3]
+    fx, fy, cx, cy = view.intrinsics / factor
+    size = np.array([view.width // factor, view.height // factor])
+    out = np.empty((*r.shape, 6))
+    for axis, (side, f, c) in enumerate(((x, fx, cx), (y, fy, cy))):
+        if view.parallel:
+            low, high = f * (side - r) + c, f * (side + r) + c
+        else:  # both tangents from the eye, in the plane of this axis and z
+            apart = np.sqrt(np.maximum(side**2 + z**2 - r**2, 0))
+            front = (z > r + 0.05) & (apart > 0)
+            middle, half = np.arctan2(side, z), np.arctan2(r, np.maximum(apart, 1e-9))
+            low = np.where(front & (middle - half > -1.5), f * np.tan(np.maximum(middle - half, -1.5)) + c, -1e6)
+            high = np.where(front & (middle + half < 1.5), f * np.tan(np.minimum(middle + half, 1.5)) + c, 1e6)
+        out[..., 2 * axis], out[..., 2 * axis + 1] = np.clip(low, 0, size[axis]), np.clip(high, 0, size[axis])
+    out[..., 4] = 1 / np.maximum(z + r, 1e-3)
+    out[..., 5] = np.where(z - r > 1e-3, 1 / np.maximum(z - r, 1e-3), 1e6)
+    gone = (r <= 0) | (z + r <= 0) | (out[..., 3] <= out[..., 2])
+    out[gone, 0] = out[gone, 1] = 0
+    return out
+
+
+@kernel(error_model="numpy", boundscheck=False)
+def _fill_tiles(seen, inv_z, factor, height, width, across, first, listed):
+    """Lists the capsules of every tile by the distances that are seen in it; returns the length of all lists together."""
+    count = 0
+    low_x, high_x, low_y, high_y = np.float64(width), 0.0, np.float64(height), 0.0
+    for n in range(seen.shape[0]):
+        for s in range(seen.shape[1]):
+            if seen[n, s, 1] > seen[n, s, 0]:
+                low_x, high_x = min(low_x, seen[n, s, 0]), max(high_x, seen[n, s, 1])
+                low_y, high_y = min(low_y, seen[n, s, 2]), max(high_y, seen[n, s, 3])
+    for tile in range(len(first) - 1):
+        first[tile] = count
+        x0, y0 = (tile % across) * TILE_X, (tile // across) * TILE_Y
+        x1, y1 = min(x0 + TILE_X, width), min(y0 + TILE_Y, height)
+        if x0 >= high_x or x1 <= low_x or y0 >= high_y or y1 <= low_y:
+            continue
+        nearest, farthest = np.float32(0), np.float32(1e9)
+        for y in range(y0 * factor, y1 * factor):
+            for x in range(x0 * factor, x1 * factor):
+                w = inv_z[y, x]
+                if w > 0:
+                    nearest, farthest = max(nearest, w), min(farthest, w)
+        for n in range(seen.shape[0]):
+            for s in range(seen.shape[1]):
+                box = seen[n, s]
+                if (
+                    box[0] < x1 and box[1] > x0 and box[2] < y1 and box[3] > y0
+                    and box[4] <= nearest and box[5] >= farthest
+                ):  # fmt: skip
+                    listed[count] = n
+                    count += 1
+                    break
+    first[-1] = count
+    return count
+
+
+# --- inside the shading kernel -------------------------------------------------------------------------------------------
+@kernel_part(forceinline=True)
+def owner_of(blockers, target, word):
+    """Group of the instance that a pixel's word shows, -1 = none."""
+    instance = target.draws[word >> 7, INSTANCE]
+    return blockers.tints[instance, 3]
+
+
+@kernel_part(forceinline=True)
+def set_rays(rays, view, axes, u, v, step):
+    """Fills the rays of a block whose first pixel looks along (u, v, 1); ``axes`` are those of the directions."""
+    for k in range(3):
+        rays[ORIGIN + 2 * k], rays[ORIGIN + 2 * k + 1] = view.eye[k], 0.0
+        if view.parallel:
+            rays[ORIGIN + 2 * k] += view.axes[k, 0] * u + view.axes[k, 1] * v
+            rays[ORIGIN + 2 * k + 1] = view.axes[k, 0] * step
+        rays[DIRECTION + 2 * k] = axes[k, 0] * u + axes[k, 1] * v + axes[k, 2]
+        rays[DIRECTION + 2 * k + 1] = axes[k, 0] * step
+
+
+@kernel_part()
+def block_pixels(blockers, tile, rays, near_at, owners_at, strip_at, row_bytes, scratch):
+    """Dims 8 pixels of a strip (levels and normals, `shading_simd`) by the capsules of a tile."""
+    rows, scratch_at = blockers.rows, np.uintp(scratch.ctypes.data)
+    rows_at, stride = np.uintp(rows.ctypes.data), np.uintp(BLOCKER_WORDS * 4)
+    begin, end = blockers.first[tile], blockers.first[tile + 1]
+    begin_block(np.uintp(rays.ctypes.data), near_at, scratch_at)
+    for k in range(begin, end):
+        n = blockers.listed[k]
+        blocker_at = rows_at + np.uintp(n) * stride
+        block_block(blocker_at, strip_at, row_bytes, owners_at, scratch_at)
+        if k + 1 == end or rows[blockers.listed[k + 1], GROUP] != rows[n, GROUP]:
+            end_group_block(blocker_at, strip_at, row_bytes, scratch_at)
+    dim_levels_block(near_at, strip_at, row_bytes, scratch_at)
