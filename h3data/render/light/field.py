@@ -29,6 +29,7 @@ _MOST = 0.85
 """Largest share of the light that comes from one direction; the rest is the sky's and the walls'."""
 _FROM_DISC = 0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2))
 """Light vector of a disc of light over its light: (1 + cos a) / 2 for its angular radius a."""
+_CORNERS = np.array(list(np.ndindex(2, 2, 2)))
 FACE_NORMALS = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], np.float64)
 
 
@@ -80,19 +81,16 @@ class LightField:
         place = np.clip((points - self.origin) / self.spacing_m - 0.5, 0, np.maximum(shape - 1, 0))
         low = np.minimum(place.astype(int), np.maximum(shape - 2, 0))
         part = place - low
-        cube, reach = np.zeros((len(points), 6, 3)), np.zeros(len(points))
-        total = np.zeros(len(points))
-        for corner in np.ndindex(2, 2, 2):
-            x, y, z = np.minimum(low + corner, shape - 1).T
-            weight = np.where(corner, part, 1 - part).prod(1)
-            weight = (weight + 1e-4) * np.isfinite(self.cube[x, y, z, 0, 0])
-            cube += weight[:, None, None] * np.nan_to_num(self.cube[x, y, z])
-            reach += weight * self.reach_m[x, y, z]
-            total += weight
+        x, y, z = np.minimum(low + _CORNERS[:, None], shape - 1).transpose(2, 0, 1)
+        cubes = self.cube[x, y, z]
+        free = np.isfinite(cubes[..., 0, 0])
+        weight = (np.where(_CORNERS[:, None], part, 1 - part).prod(2) + 1e-4) * free
+        total = weight.sum(0)
         known = total > 0
-        total = np.where(known, total, 1)
-        cube = np.where(known[:, None, None], cube / total[:, None, None], self.mean)
-        return cube, np.where(known, reach / total, 1.0)
+        weight /= np.where(known, total, 1)
+        cube = np.einsum("cn,cnfa->nfa", weight, np.where(free[..., None, None], cubes, 0))
+        cube[~known] = self.mean
+        return cube, np.where(known, (weight * self.reach_m[x, y, z]).sum(0), 1.0)
 
     def blockers(
         self,
@@ -115,12 +113,13 @@ class LightField:
         middle = (c[:, :3] + c[:, 3:6]) / 2
         which, index = np.unique(groups, return_inverse=True)
         centers = group_means(middle, index, len(which))
-        light, own = self.at(centers), self.at(middle)
-        rows = blocker_rows(c, groups, light.direction[index], light.share[index], own.reach_m)
+        light = self.at(np.concatenate([centers, middle]))
+        reach = light.reach_m[len(which) :]
+        rows = blocker_rows(c, groups, light.direction[index], light.share[index], reach)
         tints = np.ones((len(members), 4), np.float32)
         tints[:, 3] = members
         own_tint = np.ones((max(int(members.max(initial=-1)), int(which.max(initial=-1))) + 1, 3))
-        own_tint[which] = shown_light(light.irradiance, self.mean) / self.flat
+        own_tint[which] = shown_light(light.irradiance[: len(which)], self.mean) / self.flat
         tints[members >= 0, :3] = own_tint[members[members >= 0]]
         return Blockers(rows, tints)
 

@@ -49,20 +49,23 @@ from h3data.render.shade.blockers_simd import (
     START,
     WIDTH,
     begin_block,
-    block_block,
+    block_all_light,
+    block_one_direction,
     dim_levels_block,
     end_group_block,
 )
 
-TILE_X, TILE_Y = 32, 16
+TILE_X, TILE_Y = 16, 16
 """Pixels of an image that share a list of capsules."""
-_RANGE = 6.0
+_RANGE = 5.0
 """Range of the ambient occlusion in radii, beyond `_RANGE_M`."""
-_RANGE_M = 0.15
-_FAINTEST = 1 / 30
+_RANGE_M = 0.12
+_FAINTEST = 1 / 20
 """A shadow ends where it takes less of the light."""
 _SWEEP = 4
 """Spheres that enclose a capsule and the space that it may darken."""
+_ALL, _ONE = 1, 2
+"""Bits of a capsule in a list: it takes light from everywhere, and light from one direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +148,7 @@ class Tiled(NamedTuple):
     first: NDArray[np.int32]
     """Where the list of each tile begins in ``listed``, row by row, shape [tiles + 1]; [0] if there are no capsules."""
     listed: NDArray[np.int32]
+    """Four times the index of a capsule plus bits that say what it takes."""
     inv_z: NDArray[np.float32]
     """1/z of the target, also for orthographic cameras."""
 
@@ -170,17 +174,18 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
         inv_z = np.where(inv_z > 0, 1 / np.maximum(view.reach - inv_z, 1e-6), 0).astype(np.float32)
     spheres = _spheres(blockers.rows)
     seen = _on_screen(spheres, view, factor)
-    if not (seen[..., 1] > seen[..., 0]).any():
+    index = np.flatnonzero(seen[:, 1] > seen[:, 0])
+    if not len(index):
         return nothing
     height, width = view.height // factor, view.width // factor
-    across, down = -(-width // TILE_X), -(-height // TILE_Y)
-    first, listed = np.zeros(across * down + 1, np.int32), np.empty(across * down * len(spheres), np.int32)
-    count = _fill_tiles(seen, inv_z, factor, height, width, across, first, listed)
+    tiles = -(-width // TILE_X) * -(-height // TILE_Y)
+    first, listed = np.zeros(tiles + 1, np.int32), np.empty(tiles * len(index), np.int32)
+    count = _fill_tiles(seen[index], index, blockers.rows, view, inv_z, factor, first, listed)
     return Tiled(blockers.rows, blockers.tints, first, listed, inv_z) if count else nothing
 
 
 def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
-    """What each sphere covers: pixels from and to along x and along y, and 1/z from and to, shape [N, S, 6]."""
+    """What the spheres of each capsule [N, S, 4] cover: pixels from and to along x and along y, 1/z from and to, [N, 6]."""
     center = (spheres[..., :3] - view.eye) @ view.axes
     x, y, z, r = center[..., 0], center[..., 1], center[..., 2], spheres[..., 3]
     fx, fy, cx, cy = view.intrinsics / factor
@@ -198,21 +203,20 @@ def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray
         out[..., 2 * axis], out[..., 2 * axis + 1] = np.clip(low, 0, size[axis]), np.clip(high, 0, size[axis])
     out[..., 4] = 1 / np.maximum(z + r, 1e-3)
     out[..., 5] = np.where(z - r > 1e-3, 1 / np.maximum(z - r, 1e-3), 1e6)
-    gone = (r <= 0) | (z + r <= 0) | (out[..., 3] <= out[..., 2])
-    out[gone, 0] = out[gone, 1] = 0
-    return out
+    gone = (r <= 0) | (z + r <= 0) | (out[..., 3] <= out[..., 2]) | (out[..., 1] <= out[..., 0])
+    out[gone, 0::2], out[gone, 1::2] = 1e9, 0
+    return np.stack([out[..., k].min(1) if k % 2 == 0 else out[..., k].max(1) for k in range(6)], axis=1)
 
 
 @kernel(error_model="numpy", boundscheck=False)
-def _fill_tiles(seen, inv_z, factor, height, width, across, first, listed):
-    """Lists the capsules of every tile by the distances that are seen in it; returns the length of all lists together."""
-    count = 0
-    low_x, high_x, low_y, high_y = np.float64(width), 0.0, np.float64(height), 0.0
-    for n in range(seen.shape[0]):
-        for s in range(seen.shape[1]):
-            if seen[n, s, 1] > seen[n, s, 0]:
-                low_x, high_x = min(low_x, seen[n, s, 0]), max(high_x, seen[n, s, 1])
-                low_y, high_y = min(low_y, seen[n, s, 2]), max(high_y, seen[n, s, 3])
+def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
+    """Lists the capsules of every tile by the space that is seen in it; returns the length of all lists together.
+
+    ``seen`` [n, 6] (`_on_screen`) is that of the capsules ``index`` [n].
+    """
+    count, height, width = 0, view.height // factor, view.width // factor
+    across = -(-width // TILE_X)
+    low_x, high_x, low_y, high_y = seen[:, 0].min(), seen[:, 1].max(), seen[:, 2].min(), seen[:, 3].max()
     for tile in range(len(first) - 1):
         first[tile] = count
         x0, y0 = (tile % across) * TILE_X, (tile // across) * TILE_Y
@@ -223,20 +227,69 @@ def _fill_tiles(seen, inv_z, factor, height, width, across, first, listed):
         for y in range(y0 * factor, y1 * factor):
             for x in range(x0 * factor, x1 * factor):
                 w = inv_z[y, x]
-                if w > 0:
-                    nearest, farthest = max(nearest, w), min(farthest, w)
-        for n in range(seen.shape[0]):
-            for s in range(seen.shape[1]):
-                box = seen[n, s]
-                if (
-                    box[0] < x1 and box[1] > x0 and box[2] < y1 and box[3] > y0
-                    and box[4] <= nearest and box[5] >= farthest
-                ):  # fmt: skip
-                    listed[count] = n
+                nearest = max(nearest, w)
+                farthest = min(farthest, w if w > 0 else np.float32(1e9))
+        if nearest == 0:
+            continue
+        around = _around_tile(view, factor, x0, x1, y0, y1, 1 / nearest, 1 / farthest)
+        for n in range(len(seen)):
+            if (
+                seen[n, 0] < x1 and seen[n, 1] > x0 and seen[n, 2] < y1 and seen[n, 3] > y0
+                and seen[n, 4] <= nearest and seen[n, 5] >= farthest
+            ):  # fmt: skip
+                bits = _matters(rows, index[n], around)
+                if bits:
+                    listed[count] = 4 * index[n] + bits
                     count += 1
-                    break
     first[-1] = count
     return count
+
+
+@kernel_part()
+def _around_tile(view, factor, x0, x1, y0, y1, near, far):
+    """A sphere around all points of a tile between two distances: x, y, z, radius."""
+    fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
+    low, high = (1e9, 1e9, 1e9), (-1e9, -1e9, -1e9)
+    for corner in range(8):
+        u = ((x1 if corner & 1 else x0) * factor - cx) / fx
+        v = ((y1 if corner & 2 else y0) * factor - cy) / fy
+        z = far if corner & 4 else near
+        size = 1.0 if view.parallel else z
+        p, a = view.eye, view.axes
+        x = p[0] + (a[0, 0] * u + a[0, 1] * v) * size + a[0, 2] * z
+        y = p[1] + (a[1, 0] * u + a[1, 1] * v) * size + a[1, 2] * z
+        w = p[2] + (a[2, 0] * u + a[2, 1] * v) * size + a[2, 2] * z
+        low = (min(low[0], x), min(low[1], y), min(low[2], w))
+        high = (max(high[0], x), max(high[1], y), max(high[2], w))
+    dx, dy, dz = high[0] - low[0], high[1] - low[1], high[2] - low[2]
+    radius = 0.5 * np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-3
+    return (low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2, radius
+
+
+@kernel_part(forceinline=True)
+def _matters(rows, n, around):
+    """Which light a capsule may take from points in a sphere; the distances are those of `blockers_simd.block_block`."""
+    px, py, pz = around[0] - rows[n, START], around[1] - rows[n, START + 1], around[2] - rows[n, START + 2]
+    ax, ay, az = rows[n, ALONG], rows[n, ALONG + 1], rows[n, ALONG + 2]
+    lx, ly, lz = rows[n, LIGHT], rows[n, LIGHT + 1], rows[n, LIGHT + 2]
+    beside, ahead = px * ax + py * ay + pz * az, px * lx + py * ly + pz * lz
+    bits = 0
+    s = min(max(beside * rows[n, PER_LENGTH2], 0.0), 1.0)
+    qx, qy, qz = ax * s - px, ay * s - py, az * s - pz
+    distance = np.sqrt(qx * qx + qy * qy + qz * qz) - around[3]
+    if distance <= 0 or distance**4 * rows[n, PER_RANGE4] < 1:
+        bits |= _ALL
+    if rows[n, SHARE] > 0:
+        s = min(max((beside - ahead * rows[n, ALONG_LIGHT]) * rows[n, PER_ACROSS2], 0.0), 1.0)
+        qx, qy, qz = ax * s - px, ay * s - py, az * s - pz
+        away = s * rows[n, ALONG_LIGHT] - ahead
+        off = np.sqrt(max(qx * qx + qy * qy + qz * qz - away * away, 0.0))
+        tilt = abs(rows[n, ALONG_LIGHT])  # points beside the middle may see another end of the axis
+        if -around[3] - tilt < away < rows[n, REACH] + KEPT_M + FADE_M + around[3] + tilt:
+            disc = max((away + around[3] + tilt) * SPREAD, 0.01)
+            if off < disc + rows[n, RADIUS] + around[3]:
+                bits |= _ONE
+    return bits
 
 
 # --- inside the shading kernel -------------------------------------------------------------------------------------------
@@ -260,16 +313,24 @@ def set_rays(rays, view, axes, u, v, step):
 
 
 @kernel_part()
-def block_pixels(blockers, tile, rays, near_at, owners_at, strip_at, row_bytes, scratch):
-    """Dims 8 pixels of a strip (levels and normals, `shading_simd`) by the capsules of a tile."""
+def block_pixels(blockers, tile, rays, near_at, owners_at, only, strip_at, row_bytes, scratch):
+    """Dims 8 pixels of a strip (levels and normals, `shading_simd`) by the capsules of a tile.
+
+    ``only`` is the group of all 8, or -1; its own capsules are skipped.
+    """
     rows, scratch_at = blockers.rows, np.uintp(scratch.ctypes.data)
     rows_at, stride = np.uintp(rows.ctypes.data), np.uintp(BLOCKER_WORDS * 4)
     begin, end = blockers.first[tile], blockers.first[tile + 1]
     begin_block(np.uintp(rays.ctypes.data), near_at, scratch_at)
     for k in range(begin, end):
-        n = blockers.listed[k]
+        n, bits = blockers.listed[k] >> 2, blockers.listed[k] & 3
+        if rows[n, GROUP] == only:
+            continue
         blocker_at = rows_at + np.uintp(n) * stride
-        block_block(blocker_at, strip_at, row_bytes, owners_at, scratch_at)
-        if k + 1 == end or rows[blockers.listed[k + 1], GROUP] != rows[n, GROUP]:
+        if bits & _ALL:
+            block_all_light(blocker_at, strip_at, row_bytes, owners_at, scratch_at)
+        if bits & _ONE:
+            block_one_direction(blocker_at, owners_at, scratch_at)
+        if k + 1 == end or rows[blockers.listed[k + 1] >> 2, GROUP] != rows[n, GROUP]:
             end_group_block(blocker_at, strip_at, row_bytes, scratch_at)
     dim_levels_block(near_at, strip_at, row_bytes, scratch_at)

@@ -100,32 +100,52 @@ def begin_block(typing_context, rays_at, near_at, scratch_at):
     return types.void(_p, _p, _p), codegen
 
 
+def _from_start(b: Any, blocker_at: Any, scratch_at: Any) -> Triple:
+    start = _triple(b, blocker_at, START)
+    x, y, z = (_row(b, scratch_at, POSITION + a) - start[a] for a in range(3))
+    return x, y, z
+
+
+def _take(b: Any, taken: Vec, blocker_at: Any, owners_at: Any, scratch_at: Any, row: int) -> None:
+    """Multiplies a row of the scratch space by what is left, except for pixels of the capsule's own group."""
+    own = Vec(b, load(b, owners_at)).compare("==", _word(b, blocker_at, GROUP))
+    left = _select(b, own, _constant(b, 1.0), -(taken - 1.0))
+    _keep(b, _row(b, scratch_at, row) * left, scratch_at, row)
+
+
 @intrinsic
-def block_block(typing_context, blocker_at, strip_at, row_bytes, owners_at, scratch_at):
-    """Multiplies DIRECTED and AMBIENT by what one capsule leaves to 8 pixels, except to those of its own group.
+def block_all_light(typing_context, blocker_at, strip_at, row_bytes, owners_at, scratch_at):
+    """Multiplies AMBIENT of 8 pixels by what a capsule leaves: the sphere around the nearest point of its axis.
 
     ``strip_at`` is the address of a strip of 6 rows of which the last three hold normals (`shading_simd.light_block`).
     """
 
     def codegen(context, b, signature, arguments):
         blocker_at, strip_at, row_bytes, owners_at, scratch_at = arguments
-        normal = _normal(b, strip_at, row_bytes)
-        start, along, light = (_triple(b, blocker_at, word) for word in (START, ALONG, LIGHT))
-        to_light = _word(b, blocker_at, ALONG_LIGHT)
-        radius, radius2 = _word(b, blocker_at, RADIUS), _word(b, blocker_at, RADIUS2)
-        x, y, z = (_row(b, scratch_at, POSITION + a) - start[a] for a in range(3))
-        from_start: Triple = (x, y, z)
-        beside, ahead = _dot(from_start, along), _dot(from_start, light)
-
-        # all light: the sphere around the nearest point of the axis
-        s = (beside * _word(b, blocker_at, PER_LENGTH2)).maximum(0.0).minimum(1.0)
+        normal, along = _normal(b, strip_at, row_bytes), _triple(b, blocker_at, ALONG)
+        radius2, from_start = _word(b, blocker_at, RADIUS2), _from_start(b, blocker_at, scratch_at)
+        s = (_dot(from_start, along) * _word(b, blocker_at, PER_LENGTH2)).maximum(0.0).minimum(1.0)
         x, y, z = (along[a] * s - from_start[a] for a in range(3))
         distance2 = _dot((x, y, z), (x, y, z)).maximum(radius2)
         window = (-(distance2 * distance2 * _word(b, blocker_at, PER_RANGE4) - 1.0)).maximum(0.0)
         facing = _dot(normal, (x, y, z)).maximum(0.0).divided_by(distance2.unary("sqrt"))
         hidden = (facing * radius2.divided_by(distance2) * window * window).minimum(1.0)
+        _take(b, hidden, blocker_at, owners_at, scratch_at, AMBIENT)
+        return context.get_dummy_value()
 
-        # light of the direction: the sphere around the point of the axis that is nearest to the ray towards the light
+    return types.void(_p, _p, _p, _p, _p), codegen
+
+
+@intrinsic
+def block_one_direction(typing_context, blocker_at, owners_at, scratch_at):
+    """Multiplies DIRECTED of 8 pixels by what a capsule leaves: the sphere around the point nearest to the ray to the light."""
+
+    def codegen(context, b, signature, arguments):
+        blocker_at, owners_at, scratch_at = arguments
+        along, light = (_triple(b, blocker_at, word) for word in (ALONG, LIGHT))
+        to_light, radius = _word(b, blocker_at, ALONG_LIGHT), _word(b, blocker_at, RADIUS)
+        from_start = _from_start(b, blocker_at, scratch_at)
+        beside, ahead = _dot(from_start, along), _dot(from_start, light)
         s = ((beside - ahead * to_light) * _word(b, blocker_at, PER_ACROSS2)).maximum(0.0).minimum(1.0)
         x, y, z = (along[a] * s - from_start[a] for a in range(3))
         away = s * to_light - ahead
@@ -137,16 +157,10 @@ def block_block(typing_context, blocker_at, strip_at, row_bytes, owners_at, scra
         most = (radius.divided_by(disc) * wide).minimum(1.0)
         onset = away.divided_by(radius * 0.5).maximum(0.0).minimum(1.0)
         fade = ((_word(b, blocker_at, REACH) + (KEPT_M + FADE_M) - away) * (1 / FADE_M)).maximum(0.0).minimum(1.0)
-        shadow = most * overlap * onset * fade
-
-        own = Vec(b, load(b, owners_at)).compare("==", _word(b, blocker_at, GROUP))
-        one = _constant(b, 1.0)
-        for row, taken in ((DIRECTED, shadow), (AMBIENT, hidden)):
-            left = _select(b, own, one, -(taken - 1.0))
-            _keep(b, _row(b, scratch_at, row) * left, scratch_at, row)
+        _take(b, most * overlap * onset * fade, blocker_at, owners_at, scratch_at, DIRECTED)
         return context.get_dummy_value()
 
-    return types.void(_p, _p, _p, _p, _p), codegen
+    return types.void(_p, _p, _p), codegen
 
 
 @intrinsic

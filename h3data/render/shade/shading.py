@@ -200,7 +200,9 @@ def _shade_image(
                     if blocked and word >= 0 and cast.first[tile] < cast.first[tile + 1]:
                         near[0], owners[0] = cast.inv_z[sy, sx], owner_of(cast, target, word)
                         set_rays(rays, view, axes, u1, v1, 0.0)
-                        block_pixels(cast, tile, rays, near_at, owners_at, sample_at, sample_bytes, scratch)
+                        block_pixels(
+                            cast, tile, rays, near_at, owners_at, owners[0], sample_at, sample_bytes, scratch
+                        )
                     for a in range(3):
                         strip[a, x] += sample[a, 0]
                 for a in range(3):
@@ -233,10 +235,12 @@ def _shade_image(
                     near[x] = cast.inv_z[y * factor, x * factor] if whole else 0.0
                     owners[x] = owner_of(cast, target, row[x]) if whole else -1.0
                 for x in range(begin, min(begin + TILE_X, width), 8):
-                    at = np.uintp(x * 4)
+                    at, only = np.uintp(x * 4), owners[x]
+                    for lane in range(1, 8):
+                        only = only if owners[x + lane] == owners[x] else np.float32(-1)
                     set_rays(rays, view, axes, ((x + 0.5) * factor - cx) / fx, v, pixel[0])
                     block_pixels(
-                        cast, tile, rays, near_at + at, owners_at + at, strip_at + at, strip_bytes, scratch
+                        cast, tile, rays, near_at + at, owners_at + at, only, strip_at + at, strip_bytes, scratch
                     )
         if rgb.size:
             for x in range(width):
