@@ -39,7 +39,7 @@ def run(emit: Emit) -> None:
         start = cpu_seconds()
         lit = _lit(home, flat)
         emit(f"render.light.{preset}_bake_cpu_s", cpu_seconds() - start, "s")
-        scene = RenderScene(lit.meshes, lit.instances)
+        scene = RenderScene(lit.meshes, lit.instances, mirrors=lit.mirrors)
         emit(f"render.light.{preset}_triangles_ratio", scene.triangle_count / flat.triangle_count, "x")
         before = frame_ms(Renderer(flat), cameras, outputs=("rgb",))
         after = frame_ms(Renderer(scene, light=lit.light), cameras, outputs=("rgb",))

@@ -74,9 +74,10 @@ class Stage:
         meshes = [skin.mesh for _, skin in deformable] + [p.light.mesh for p in self._people if p.light]
         self._light: Light | None = None
         self._casters: ShadowCasters | None = None
+        self._mirrors: dict[int, NDArray[np.float32]] = {}
         if replay.light == "baked":
             self._bake()
-        self.scene = RenderScene(self._meshes, self._instances, deformable=meshes)
+        self.scene = RenderScene(self._meshes, self._instances, deformable=meshes, mirrors=self._mirrors)
         self._find_movers()
         self._joints = lru_cache(maxsize=64)(self._joints_of_chunk)
 
@@ -89,6 +90,7 @@ class Stage:
         name = scene.name if scene is not None else "this recording's scene"
         lit = lit_scene(self._meshes, self._instances, static, sources_of(scene), name=name)
         self._meshes, self._instances, self._light = lit.meshes, lit.instances, lit.light
+        self._mirrors = lit.mirrors
         if lit.field is not None:
             agents = {k: drawable.agent for k, drawable in enumerate(self.replay.drawables) if k not in set(static)}
             agents |= {p.light.instance: p.agent for p in self._people if p.light}

@@ -22,7 +22,7 @@ from h3data.progress import is_quiet
 from h3data.render.light import probes as pr
 from h3data.render.light.direct import EMITTER_WORDS, LAMP, LAMP_RADIUS, SUN, SUN_SPREAD, WINDOW
 from h3data.render.light.exposure import flat_light, shown_light
-from h3data.render.light.field import FACE_NORMALS, LightField, light_field
+from h3data.render.light.field import FACE_NORMALS, LightField, light_field, mirrored
 from h3data.render.light.outdoors import with_view
 from h3data.render.light.refine import Heap, hashes, heap_of, refine
 from h3data.render.light.sources import LightSources
@@ -53,6 +53,8 @@ class LitScene:
     meshes: list[Mesh]
     instances: list[RenderInstance]
     light: Light
+    mirrors: dict[int, NDArray[np.float32]]
+    """What glossy meshes mirror, for `RenderScene`."""
     field: LightField | None
     """Light on what moves and its shadows (`Renderer.set_blockers`); None if there is no light to bake."""
 
@@ -91,18 +93,21 @@ def lit_scene(
     baked = cached(own, matrices, names, sources, light, lambda: _announced(name, own, matrices, names, sources, light))
     if baked is None:
         log.warning("No light reaches %s, neither from outdoors nor from lamps: it is shown in flat light.", name)
-        return LitScene(list(meshes), list(instances), light, None)
+        return LitScene(list(meshes), list(instances), light, {}, None)
     out_meshes, out_instances = list(meshes), list(instances)
     floor_y = min(float(transform_points(m, mesh.bounds)[:, 1].min()) for m, mesh in zip(matrices, own, strict=True))
-    for k, mesh, matrix in zip(chosen, baked.meshes, matrices, strict=True):
+    mirrors: dict[int, NDArray[np.float32]] = {}
+    for k, mesh, matrix, seen in zip(chosen, baked.meshes, matrices, baked.mirrors, strict=True):
         if instances[k].name in sources.glass:
             mesh = with_view(mesh, matrix, floor_y=floor_y, shown=_VIEW / HEADROOM)
+        if seen is not None:
+            mirrors[len(out_meshes)] = seen
         out_instances[k] = replace(instances[k], mesh=len(out_meshes))
         out_meshes.append(mesh)
     used = {instance.mesh for instance in out_instances}
     for m in range(len(meshes)):
         out_meshes[m] = _dimmed(meshes[m]) if m in used else _EMPTY
-    return LitScene(out_meshes, out_instances, _brighter(light), baked.field)
+    return LitScene(out_meshes, out_instances, _brighter(light), mirrors, baked.field)
 
 
 _EMPTY = Mesh(
@@ -145,7 +150,7 @@ def bake(
     if heap is None or not len(heap.faces):
         return None
     glass = np.array([n in sources.glass for n in names])
-    glow = np.array([n in sources.glowing for n in names])
+    glow, glossy = (np.array([n in group for n in names]) for group in (sources.glowing, sources.glossy))
     voxels = _voxels(heap, meshes, glass, glow, sources)
     emitters = _emitters(voxels, sources, light)
     measured = _indirect(voxels, emitters)
@@ -167,7 +172,7 @@ def bake(
     limit = 120_000 + 2 * len(heap.faces)
     refine(heap, light_at, mean=mean, lit=~glass & ~glow, max_faces=limit)
     field = light_field(voxels, face_light, probes, emitters, mean, flat_light(light, FACE_NORMALS).mean(0))
-    return Baked(_meshes(heap, meshes, glass, glow, light, mean), field)
+    return Baked(*_meshes(heap, meshes, glass, glow, glossy, light, field), field)
 
 
 def _voxels(
@@ -291,19 +296,28 @@ def _direct(
 
 
 def _meshes(
-    heap: Heap, meshes: Sequence[Mesh], glass: NDArray[np.bool_], glow: NDArray[np.bool_], light: Light, mean: float
-) -> list[Mesh]:
-    """The meshes of a lit heap."""
+    heap: Heap,
+    meshes: Sequence[Mesh],
+    glass: NDArray[np.bool_],
+    glow: NDArray[np.bool_],
+    glossy: NDArray[np.bool_],
+    light: Light,
+    field: LightField,
+) -> tuple[list[Mesh], list[NDArray[np.float32] | None]]:
+    """The meshes of a lit heap, and what they mirror."""
+    mean = field.mean
     flat = flat_light(light, heap.world[:, 3:])
     irradiance = np.nan_to_num(heap.light, nan=0.3 * mean)
     ratio = shown_light(irradiance, mean) / flat
     order = np.argsort(heap.mesh, kind="stable")
     starts = np.searchsorted(heap.mesh[order], np.arange(len(meshes) + 1))
-    out = []
+    out: list[Mesh] = []
+    mirrors: list[NDArray[np.float32] | None] = []
     for number, mesh in enumerate(meshes):
         chosen = order[starts[number] : starts[number + 1]]
         used, faces = np.unique(heap.faces[chosen], return_inverse=True)
         rows = heap.vertices[used]
+        mirrors.append(mirrored(field, heap.world[used], irradiance[used]) if glossy[number] else None)
         shown = _GLASS if glass[number] else _GLOW if glow[number] else ratio[used]
         out.append(
             Mesh(
@@ -316,4 +330,4 @@ def _meshes(
                 face_textures=heap.textures[chosen] if mesh.textures else None,
             )
         )
-    return out
+    return out, mirrors

@@ -29,6 +29,8 @@ _MOST = 0.85
 """Largest share of the light that comes from one direction; the rest is the sky's and the walls'."""
 _FROM_DISC = 0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2))
 """Light vector of a disc of light over its light: (1 + cos a) / 2 for its angular radius a."""
+_UPWARD, _ABOVE_M = 0.9, 0.4
+"""Floors face up by this much; what they mirror is the light this far above them."""
 _CORNERS = np.array(list(np.ndindex(2, 2, 2)))
 FACE_NORMALS = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], np.float64)
 
@@ -62,6 +64,10 @@ class LightField:
     """Mean irradiance of the home's surfaces."""
     flat: NDArray[np.float64]
     """Mean of the flat light over all directions, linear RGB, shape [3]."""
+
+    def cubes(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Irradiance at points [N, 3] on surfaces that face -x, +x, -y, +y, -z, +z, shape [N, 6, 3]."""
+        return self._interpolated(np.asarray(points, np.float64))[0]
 
     def at(self, points: NDArray[np.floating]) -> LightAt:
         """The light at points [N, 3] of the world [m]."""
@@ -160,6 +166,26 @@ def light_field(
     reach = np.zeros(usable.shape, np.float32)
     reach[usable] = voxels.cell_m * free_path(distance, place[usable].astype(np.float64), away, _FARTHEST_M / voxels.cell_m)
     return LightField(voxels.origin, n * voxels.cell_m, cube, reach, mean, flat)
+
+
+def mirrored(
+    field: LightField, world: NDArray[np.floating], irradiance: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """What vertices of a glossy floor mirror from -x, +x, +y, -z and +z, as light shown, shape [V, 5]; 0 for its sides.
+
+    Args:
+        field: The light around.
+        world: Positions and unit normals, shape [V, 6].
+        irradiance: Their own light [V, 3]: where it is less than in the open, under a table, less is mirrored.
+    """
+    out = np.zeros((len(world), 5), np.float32)
+    up = np.flatnonzero(world[:, 4] > _UPWARD)
+    cubes = field.cubes(world[up, :3] + [0, _ABOVE_M, 0])
+    own, open_floor = (shown_light(light, field.mean).mean(1) for light in (irradiance[up], cubes[:, 3]))
+    open_share = np.clip(own / np.maximum(open_floor, 1e-6), 0, 1)
+    for column, side in enumerate((0, 1, 3, 4, 5)):
+        out[up, column] = open_share * shown_light(cubes[:, side], field.mean).mean(1)
+    return out
 
 
 def _places(distance: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

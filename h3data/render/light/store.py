@@ -39,6 +39,8 @@ class Baked(NamedTuple):
 
     meshes: list[Mesh]
     """The static meshes with their light."""
+    mirrors: list[NDArray[np.float32] | None]
+    """Light that the vertices of glossy meshes mirror (`RenderScene`), each [V, 5]; None for dull ones."""
     field: LightField
     """The light between them."""
 
@@ -94,7 +96,7 @@ def _key(
                 )
             hashes[id(mesh)] = part.digest()
         digest.update(hashes[id(mesh)] + matrix.tobytes())
-        digest.update(f"{name in sources.glass} {name in sources.glowing}".encode())
+        digest.update(f"{name in sources.glass} {name in sources.glowing} {name in sources.glossy}".encode())
     for window in sources.windows:
         for array in (window.center, window.half_u, window.half_v, window.across):
             digest.update(array.tobytes())
@@ -107,8 +109,8 @@ def _key(
 
 def _save(path: Path, baked: Baked) -> None:
     arrays: dict[str, NDArray] = {f"field.{name}": np.asarray(getattr(baked.field, name)) for name in _FIELD}
-    for name in _ARRAYS:
-        parts = [getattr(mesh, name) for mesh in baked.meshes]
+    columns = {name: [getattr(mesh, name) for mesh in baked.meshes] for name in _ARRAYS}
+    for name, parts in {**columns, "mirrors": baked.mirrors}.items():
         arrays[f"{name}.count"] = np.array([-1 if p is None else len(p) for p in parts])
         present = [p for p in parts if p is not None]
         arrays[name] = np.concatenate(present) if present else np.zeros(0)
@@ -119,7 +121,7 @@ def _save(path: Path, baked: Baked) -> None:
 def _load(path: Path, originals: Sequence[Mesh]) -> Baked:
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         columns: dict[str, list] = {}
-        for name in _ARRAYS:
+        for name in (*_ARRAYS, "mirrors"):
             counts, values = file[f"{name}.count"], file[name]
             if len(counts) != len(originals):
                 raise ValueError(f"{len(counts)} meshes, expected {len(originals)}")
@@ -129,9 +131,10 @@ def _load(path: Path, originals: Sequence[Mesh]) -> Baked:
             ]
         grid: dict[str, Any] = {name: file[f"field.{name}"] for name in _FIELD}
         field = LightField(**grid | {name: float(grid[name]) for name in ("spacing_m", "mean")})
+    mirrors = columns.pop("mirrors")
     rows = zip(*columns.values(), strict=True)
     meshes = [
         Mesh(**dict(zip(columns, row, strict=True)), textures=mesh.textures)
         for row, mesh in zip(rows, originals, strict=True)
     ]
-    return Baked(meshes, field)
+    return Baked(meshes, mirrors, field)

@@ -26,10 +26,12 @@ from h3data.render.shade.shading_simd import (
     COLOR,
     COLOR_1,
     COLOR_2,
+    GLOSS,
     LEVEL,
     RAY,
     TONE_LIMIT,
     TONE_SIZE,
+    gloss_block,
     light_block,
     light_coordinates_block,
     sky_block,
@@ -325,6 +327,13 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, blo
             base = np.int32(detail + np.float32(ONE_LEVEL))
             blended = np.int32(detail - base > np.float32(ONE_LEVEL - 0.1))  # margin for the other pixels
             texture_block(at, row_bytes, uv_at, coordinates_bytes, base, blended, levels_at, words_at)
+    if attributes[slot, GLOSS] > 0:
+        for x in range(begin, end, 8):
+            first = u + step * (x - begin)
+            for k in range(3):
+                block[2 * k] = planes[slot, k, 0] * first + planes[slot, k, 1] * v + planes[slot, k, 2]
+                block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]
+            gloss_block(block_at, attributes_at, strip_at + np.uintp(x * 4), row_bytes)
 
 
 @kernel_part(forceinline=True)
