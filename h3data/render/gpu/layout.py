@@ -76,7 +76,8 @@ class Shade(Struct):
     _fields_ = [
         ("world", World),
         *_fields(
-            "depth words triangle_instances triangle_faces instance_ids semantic_ids normals colors uv triangle_textures "
+            "depth words triangle_instances triangle_faces instance_ids semantic_ids normals colors uv mirrors "
+            "triangle_textures "
             "levels first_level texels normal_groups group_first group_faces linear_of_byte byte_of_level surfaces occlusion "
             "blockers blocker_counts receivers instance semantic triangle normal rgb"
         ),

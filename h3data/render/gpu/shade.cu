@@ -21,6 +21,7 @@ struct Shade {
     const float* normals;        // per pool vertex; 0 = flat
     const uchar4* colors;        // sRGB; w = 1 in deformable meshes with smooth normals
     const float2* uv;
+    const float* mirrors;        // per pool vertex, 5 each: light that glossy surfaces mirror; 0 = no mesh is glossy
     const int* triangle_textures;
     const Level* levels;
     const int* first_level;
@@ -136,7 +137,32 @@ __device__ __forceinline__ float3 bilinear(const u32* texels, const Level& level
     return upper * (1.f - lower) + (texel(at[0]) * (1.f - right) + texel(at[1]) * right) * lower;
 }
 
-struct Surface { float3 color, normal; };  // linear; colours are lit
+struct Surface {              // linear; colours are lit
+    float3 color, normal;
+    float mirrored, share;   // light that a glossy surface mirrors, and how much it does; 0 = dull
+};
+
+#define FACING_SHARE 0.04f
+#define GRAZING_SHARE 0.65f
+
+// What a glossy floor mirrors, as `gloss_block` of `shading_simd.py`.
+__device__ __forceinline__ void gloss(const Shade& f, const int* v, float b1, float b2, float3 ray, Surface& out) {
+    float sides[5];
+    bool glossy = false;
+    for (int k = 0; k < 5; k++) {
+        float corner[3];
+        for (int j = 0; j < 3; j++) corner[j] = f.mirrors[5 * (size_t)v[j] + k];
+        glossy |= corner[0] > 0.f || corner[1] > 0.f || corner[2] > 0.f;
+        sides[k] = corner[0] + (corner[1] - corner[0]) * b1 + (corner[2] - corner[0]) * b2;
+    }
+    if (!glossy) return;
+    ray = unit(ray);
+    float facing = clamp(-dot(out.normal, ray), 0.f, 1.f), rest = 1.f - facing;
+    float3 to = ray + out.normal * (2.f * facing);
+    out.mirrored = fmaxf(to.x * to.x * sides[to.x > 0.f] + (to.y > 0.f ? to.y * to.y * sides[2] : 0.f)
+                             + to.z * to.z * sides[3 + (to.z > 0.f)], 0.f);
+    out.share = FACING_SHARE + (GRAZING_SHARE - FACING_SHARE) * rest * rest * rest * rest * rest;
+}
 
 // What a ray sees of a triangle.
 __device__ Surface shade_hit(const Shade& f, int view, u32 word, const Ray& ray, float2 pixel) {
@@ -185,8 +211,9 @@ __device__ Surface shade_hit(const Shade& f, int view, u32 word, const Ray& ray,
         normal = corner[0] + (corner[1] - corner[0]) * b1 + (corner[2] - corner[0]) * b2;
         normal = normal * ((side < 0.f ? -1.f : 1.f) / sqrtf(fmaxf(dot(normal, normal), 1e-20f)));
     }
-    Surface out = {make_float3(0, 0, 0), normal};
+    Surface out = {make_float3(0, 0, 0), normal, 0.f, 0.f};
     if (!f.rgb) return out;
+    if (f.mirrors) gloss(f, v, b1, b2, ray.direction, out);
 
     float3 tint[3];
     for (int j = 0; j < 3; j++) {
@@ -359,7 +386,7 @@ extern "C" __global__ void __launch_bounds__(256, 3) shade(Shade f) {
         float middle = mixed ? 0.5f : 0.5f * factor;
         Ray ray = ray_at(camera, s.scale, pixel_at_1, x * factor + (k & 1) + middle, y * factor + (k >> 1) + middle);
         u32 seen = f.words[at];
-        Surface surface = {make_float3(0, 0, 0), make_float3(0, 0, 0)};
+        Surface surface = {make_float3(0, 0, 0), make_float3(0, 0, 0), 0.f, 0.f};
         if (seen != NOTHING)
             surface = shade_hit(f, view, seen, ray, pixel_at_1);
         else if (f.rgb)
@@ -382,6 +409,9 @@ extern "C" __global__ void __launch_bounds__(256, 3) shade(Shade f) {
         float color[3] = {surface.color.x, surface.color.y, surface.color.z};
         for (int a = 0; a < 3; a++) {
             int own = (int)clamp(color[a] * levels_per_light, 0.f, TONE_SIZE - 1.f);
+            if (surface.share > 0.f)
+                own = (int)clamp(own * (1.f - surface.share) + surface.mirrored * surface.share * levels_per_light, 0.f,
+                                 TONE_SIZE - 1.f);
             level[a] += (int)((int)((mixed ? min(own, BRIGHTEST_SAMPLE) : own) * left) * unshadowed);
         }
     }

@@ -56,6 +56,7 @@ class Shader:
         self._shade.fill(
             **{name: tensors[name] for name in _SCENE_TABLES},
             triangle_textures=tensors["triangle_textures"] if packed.textured else None,
+            mirrors=tensors["mirrors"] if len(packed.mirrors) else None,
             linear_of_byte=self._tables["linear_of_byte"],
             byte_of_level=self._tables["byte_of_level"],
             light=(ctypes.c_float * 27)(*light_table(light)),

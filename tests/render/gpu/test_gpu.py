@@ -255,6 +255,19 @@ def test_baked_light_looks_as_on_the_cpu(make, monkeypatch):
 
 
 @pytest.mark.parametrize("samples", [1, 4])
+def test_glossy_floors_look_as_on_the_cpu(make, samples):
+    meshes = [textured(room(), 1), ball()]
+    instances = [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.5, 0))]
+    mirrors = np.random.default_rng(0).uniform(0, 1.5, (len(meshes[0].vertices), 5)).astype(np.float32)
+    dull, glossy = RenderScene(meshes, instances), RenderScene(meshes, instances, mirrors={0: mirrors})
+    got = compare(make, GpuScene(glossy, moving=[1]), ROOM_VIEWS, samples=samples)
+    plain = compare(make, GpuScene(dull, moving=[1]), ROOM_VIEWS, samples=samples)
+    assert (got["rgb"] != plain["rgb"]).any(-1).mean() > 0.3
+    for name in ("depth", "instance", "normal"):
+        np.testing.assert_array_equal(got[name], plain[name])
+
+
+@pytest.mark.parametrize("samples", [1, 4])
 def test_soft_shadows_and_tints_look_as_on_the_cpu(make, samples):
     rng = np.random.default_rng(5)
     scene = RenderScene([room(), textured(ball(), 1)], [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.5, 0))])
