@@ -31,6 +31,8 @@ _FROM_DISC = 0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2))
 """Light vector of a disc of light over its light: (1 + cos a) / 2 for its angular radius a."""
 _UPWARD, _ABOVE_M = 0.9, 0.4
 """Floors face up by this much; what they mirror is the light this far above them."""
+_INDOORS = 0.2
+"""Share of points under cover above which those in the open do not count."""
 _CORNERS = np.array(list(np.ndindex(2, 2, 2)))
 FACE_NORMALS = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], np.float64)
 
@@ -200,7 +202,13 @@ def _places(distance: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[n
     within = np.stack([chosen // n**2, chosen // n % n, chosen % n], axis=-1)
     corner = np.stack(np.meshgrid(*(np.arange(b) * n for b in blocks), indexing="ij"), axis=-1)
     usable = np.take_along_axis(split, chosen[..., None], -1)[..., 0] > 0
-    return (corner + within + 0.5).astype(np.float32), usable
+    at = corner + within
+    x, y, z = np.minimum(at, np.array(distance.shape) - 1).reshape(-1, 3).T
+    below = np.maximum.accumulate((distance == 0)[:, ::-1], axis=1)[:, ::-1]
+    covered = usable & below[x, y, z].reshape(usable.shape)
+    if covered.sum() > _INDOORS * usable.sum():  # the light outdoors would come through the walls
+        usable = covered
+    return (at + 0.5).astype(np.float32), usable
 
 
 def free_path(

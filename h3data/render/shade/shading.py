@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster import FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
@@ -70,6 +71,16 @@ class Light:
     """Rays towards the sun per pixel, for cast shadows with soft edges; 0 = no cast shadows. Needs the extra ``rays``."""
     sun_size_deg: float = 2.0
     """Angular diameter of the sun (0.5 in reality); larger values give softer shadow edges."""
+
+    def __post_init__(self) -> None:
+        colors = ("sky", "ground", "sun", "fill", "headlight", "horizon", "zenith")
+        faults = [
+            f"{name} = {getattr(self, name)}"
+            for name in (*colors, "sun_direction", "fill_direction", "occlusion")
+            if not np.isfinite(getattr(self, name)).all() or (name in colors and min(getattr(self, name)) < 0)
+        ]
+        if faults:
+            raise InputError(f"Light needs finite numbers and no negative power, got {', '.join(faults)}.")
 
 
 _SHOULDER = 0.75

@@ -144,6 +144,14 @@ def test_the_sun_lights_what_faces_it():
     assert lit > shaded + 20
 
 
+@pytest.mark.parametrize(
+    "fault", [{"sun": (0.1, float("nan"), 0)}, {"sky": (-0.1, 1, 1)}, {"sun_direction": (0, float("inf"), 0)}]
+)
+def test_a_light_that_is_not_finite_or_negative_is_refused(fault):
+    with pytest.raises(InputError, match=next(iter(fault))):
+        Light(**fault)
+
+
 def test_four_samples_average_edges_only():
     # a vertical edge through the middle of a pixel column: half sky, half wall
     black = dataclasses.replace(WHITE_ROOM, horizon=(0, 0, 0), zenith=(0, 0, 0), sky=(1, 1, 1), ground=(1, 1, 1))
