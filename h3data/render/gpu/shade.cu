@@ -143,7 +143,7 @@ struct Surface {              // linear; colours are lit
 };
 
 #define FACING_SHARE 0.04f
-#define GRAZING_SHARE 0.65f
+#define GRAZING_SHARE 0.5f
 
 // What a glossy floor mirrors, as `gloss_block` of `shading_simd.py`.
 __device__ __forceinline__ void gloss(const Shade& f, const int* v, float b1, float b2, float3 ray, Surface& out) {
@@ -289,9 +289,9 @@ __device__ __forceinline__ int instance_of(const Shade& f, int world, u32 word) 
 // Words of a capsule and constants of its shadow, as in `blockers_simd.py`.
 struct Blocker {
     float3 start, along, light;
-    float per_length2, along_light, per_across2, radius, radius2, width, reach, per_range4, group, share;
+    float per_length2, along_light, per_across2, radius, radius2, width, reach, per_range4, group, share, length;
 };
-#define BLOCKER_WORDS 19
+#define BLOCKER_WORDS 20
 #define SPREAD 0.30f
 #define FADE_M 0.25f
 #define KEPT_M 0.1f
@@ -300,10 +300,15 @@ struct Blocker {
 
 // What a capsule takes of the light from everywhere.
 __device__ __forceinline__ float hidden_by(const Blocker& c, float3 from_start, float3 normal) {
-    float3 to = c.along * clamp(dot(from_start, c.along) * c.per_length2, 0.f, 1.f) - from_start;
+    float s = clamp(dot(from_start, c.along) * c.per_length2, 0.f, 1.f);
+    float3 to = c.along * s - from_start;
     float distance2 = fmaxf(dot(to, to), c.radius2), window = fmaxf(1.f - distance2 * distance2 * c.per_range4, 0.f);
     if (window == 0.f) return 0.f;
-    return fminf(fmaxf(dot(normal, to), 0.f) / sqrtf(distance2) * (c.radius2 / distance2) * window * window, 1.f);
+    float per_distance = 1.f / sqrtf(distance2);
+    float covered = 0.5f * (fminf((c.length * s + c.radius) * per_distance, 1.f)
+                            + fminf((c.length * (1.f - s) + c.radius) * per_distance, 1.f));
+    float facing = fmaxf(dot(normal, to), 0.f) * per_distance;
+    return fminf(facing * (c.radius * per_distance) * covered * window * window, 1.f);
 }
 
 // What it takes of the light from one direction.

@@ -2,9 +2,10 @@
 
 A capsule takes two kinds of light from a point with normal n:
 
-- **Light from everywhere.** The sphere of radius r around the point of its axis that is nearest, at distance d in direction
-  w, covers ``max(n . w, 0) r^2 / d^2`` of the cosine-weighted hemisphere: the form factor of a sphere (Siegel and Howell,
-  "Thermal Radiation Heat Transfer"), exact while the sphere is above the horizon. It is windowed by ``(1 - (d / range)^4)^2``
+- **Light from everywhere.** With the nearest point of the axis at distance d in direction w, a sphere of radius r covers
+  ``max(n . w, 0) r^2 / d^2`` of the cosine-weighted hemisphere and an endless cylinder ``max(n . w, 0) r / d``: form factors
+  (Siegel and Howell, "Thermal Radiation Heat Transfer", appendix C), exact above the horizon. A capsule lies between them:
+  ``r / d`` times the mean of both its halves' extents over d, at most 1. It is windowed by ``(1 - (d / range)^4)^2``
   (Karis 2013, "Real Shading in Unreal Engine 4", for lights), so that a capsule matters to few pixels.
 - **Light from one direction.** The sphere around the point of the axis that is nearest to the ray towards the light
   (closest points of a line and a segment: Ericson 2005, "Real-Time Collision Detection", 5.1.8) covers a part of the light's
@@ -36,6 +37,7 @@ from h3data.render.shade.blockers_simd import (
     FADE_M,
     GROUP,
     KEPT_M,
+    LENGTH,
     LIGHT,
     ORIGIN,
     PER_ACROSS2,
@@ -111,7 +113,7 @@ def blocker_rows(
     out[:, WIDTH] = width
     out[:, REACH] = np.minimum(reach_m[order], np.sqrt(radius * width / _FAINTEST) / SPREAD)
     out[:, PER_RANGE4] = 1 / _range_m(radius) ** 4
-    out[:, GROUP], out[:, SHARE] = groups[order], share[order]
+    out[:, GROUP], out[:, SHARE], out[:, LENGTH] = groups[order], share[order], np.sqrt(length2)
     return out
 
 

@@ -14,12 +14,12 @@ from h3data.render.raster.vectors import FLOAT, FLOAT8, INT8, LANES, Vec, intrin
 
 # Float32 words of a capsule: one end, the vector to the other end, direction to the light, 1 / length^2, (vector . light),
 # 1 / squared length across the light, radius and its square, half the length across the light, distance that shadows reach,
-# 1 / range^4 of the ambient occlusion, group, and share of the light that comes from the direction.
+# 1 / range^4 of the ambient occlusion, group, share of the light that comes from the direction, and length.
 START, ALONG, LIGHT, PER_LENGTH2, ALONG_LIGHT, PER_ACROSS2, RADIUS, RADIUS2, WIDTH, REACH, PER_RANGE4 = (
     0, 3, 6, 9, 10, 11, 12, 13, 14, 15, 16,
 )  # fmt: skip
-GROUP, SHARE = 17, 18
-BLOCKER_WORDS = 19
+GROUP, SHARE, LENGTH = 17, 18, 19
+BLOCKER_WORDS = 20
 
 SPREAD = 0.30
 """Tangent of the angular radius of the light: that of a window 1.2 m wide, 2 m away."""
@@ -115,7 +115,7 @@ def _take(b: Any, taken: Vec, blocker_at: Any, owners_at: Any, scratch_at: Any, 
 
 @intrinsic
 def block_all_light(typing_context, blocker_at, strip_at, row_bytes, owners_at, scratch_at):
-    """Multiplies AMBIENT of 8 pixels by what a capsule leaves: the sphere around the nearest point of its axis.
+    """Multiplies AMBIENT of 8 pixels by what a capsule leaves, seen from the nearest point of its axis.
 
     ``strip_at`` is the address of a strip of 6 rows of which the last three hold normals (`shading_simd.light_block`).
     """
@@ -127,9 +127,13 @@ def block_all_light(typing_context, blocker_at, strip_at, row_bytes, owners_at, 
         s = (_dot(from_start, along) * _word(b, blocker_at, PER_LENGTH2)).maximum(0.0).minimum(1.0)
         x, y, z = (along[a] * s - from_start[a] for a in range(3))
         distance2 = _dot((x, y, z), (x, y, z)).maximum(radius2)
+        per_distance, one = distance2.unary("sqrt").reciprocal(), _constant(b, 1.0)
+        radius, length = _word(b, blocker_at, RADIUS), _word(b, blocker_at, LENGTH)
+        before, after = length * s + radius, length * (-(s - 1.0)) + radius
+        covered = ((before * per_distance).minimum(1.0) + (after * per_distance).minimum(1.0)) * 0.5
         window = (-(distance2 * distance2 * _word(b, blocker_at, PER_RANGE4) - 1.0)).maximum(0.0)
-        facing = _dot(normal, (x, y, z)).maximum(0.0).divided_by(distance2.unary("sqrt"))
-        hidden = (facing * radius2.divided_by(distance2) * window * window).minimum(1.0)
+        facing = _dot(normal, (x, y, z)).maximum(0.0) * per_distance
+        hidden = (facing * (radius * per_distance) * covered * window * window).minimum(one)
         _take(b, hidden, blocker_at, owners_at, scratch_at, AMBIENT)
         return context.get_dummy_value()
 

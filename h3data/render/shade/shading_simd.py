@@ -28,9 +28,9 @@ MEAN, UP, SUN, FILL, HEADLIGHT, SUN_DIRECTION, FILL_DIRECTION, HORIZON, ZENITH =
 # Float32 words of a block's rays and planes: value at its first pixel, then the increment per pixel.
 NEARNESS, SECOND, THIRD, RAY = 0, 2, 4, 6
 BLOCK_WORDS = 12
-FACING_SHARE, GRAZING_SHARE = 0.04, 0.65
+FACING_SHARE, GRAZING_SHARE = 0.04, 0.5
 """Shares of light that a glossy floor reflects at right angles, as all varnish and glaze do, and at grazing angles: 1 less
-the roughness, 0.35 (Lagarde 2011, "Adopting a physically based shading model")."""
+the roughness, 0.5 (Lagarde 2011, "Adopting a physically based shading model")."""
 # Rows that `light_coordinates_block` outputs: texture coordinates [repeats] and level of detail.
 S, T, LEVEL = 0, 1, 2
 

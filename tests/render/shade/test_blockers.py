@@ -76,8 +76,10 @@ def reference(rows: NDArray, points: NDArray, normals: NDArray, owners: NDArray)
             to = [along[a] * s - away_from[a] for a in range(3)]
             d2 = np.maximum(dot(to, to), radius2)
             window = np.maximum(one - d2 * d2 * per_range4, F(0))
-            facing = np.maximum(dot(n, to), F(0)) / np.sqrt(d2)
-            hidden = np.minimum(facing * (radius2 / d2) * window * window, one)
+            per_d, length = one / np.sqrt(d2), row[module.LENGTH]
+            covered = sum(np.minimum((length * part + radius) * per_d, one) for part in (s, one - s)) * F(0.5)
+            facing = np.maximum(dot(n, to), F(0)) * per_d
+            hidden = np.minimum(facing * (radius * per_d) * covered * window * window, one)
             s = clamp((beside - ahead * to_light) * per_across2, 0, 1)
             to = [along[a] * s - away_from[a] for a in range(3)]
             away = s * to_light - ahead
@@ -194,6 +196,14 @@ def test_a_sphere_on_the_floor_takes_its_form_factor() -> None:
     exact = 0.1**3 / (x**2 + 0.1**2) ** 1.5  # cosine 0.1 / d, times (r / d)^2
     window = (1 - ((x**2 + 0.01) / 0.62**2) ** 2) ** 2
     np.testing.assert_allclose(taken, (1 - DARKEST) * exact * window, rtol=1e-4)
+
+
+def test_a_long_cylinder_on_the_floor_takes_its_form_factor() -> None:
+    x = np.linspace(0.06, 0.2, 9)
+    taken = _floor_darkening([0, 0.05, -3, 0, 0.05, 3, 0.05], UP, 0.0, np.column_stack([x, 0 * x, 0 * x]))
+    distance2 = x**2 + 0.05**2
+    window = (1 - (distance2 / 0.37**2) ** 2) ** 2
+    np.testing.assert_allclose(taken, (1 - DARKEST) * 0.05**2 / distance2 * window, rtol=1e-4)  # (r / d) (cosine r / d)
 
 
 def test_a_shadow_falls_away_from_the_light_and_softens_with_height() -> None:

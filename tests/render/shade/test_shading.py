@@ -240,7 +240,7 @@ def test_a_glossy_floor_mirrors_by_schlick_what_lies_in_the_mirrored_direction(k
     to = rays + 2 * facing[..., None] * [0, 1, 0]
     x, z = (np.where(to[..., a] > 0, mirror[1 + k], mirror[k]) for a, k in ((0, 0), (2, 3)))
     mirrored = to[..., 0] ** 2 * x + to[..., 1] ** 2 * mirror[2] + to[..., 2] ** 2 * z
-    share = 0.04 + 0.61 * (1 - facing) ** 5
+    share = 0.04 + 0.46 * (1 - facing) ** 5
     color = 0.5 * srgb_to_linear(np.array(120 / 255)) * (1 - share) + share * mirrored
     hit = picture["depth"] > 0
     hit[:2] = False  # the floor's edge
