@@ -91,7 +91,8 @@ def test_a_home_without_light_is_rendered_flat(recording: Recording, monkeypatch
     dark, flat = Replay(recording, light="baked"), Replay(recording)
     camera = camera_track(flat, "third_person").resized(160, 120).at(STEP)
     pictures = [
-        stage.render(stage.renderer(), STEP, [camera], outputs=("rgb",))[0]["rgb"] for stage in (Stage(dark), Stage(flat))
+        stage.render(stage.renderer(), STEP, [camera], outputs=("rgb",))[0]["rgb"]
+        for stage in (Stage(dark), Stage(flat))
     ]
     np.testing.assert_array_equal(*pictures)
 
@@ -103,7 +104,9 @@ def test_capsules_move_with_their_bodies() -> None:
     out = moved(local, np.stack([pose, pose]))
     np.testing.assert_allclose((out[0, :3] + out[0, 3:6]) / 2, [1, 2, 3])
     np.testing.assert_allclose(out[0, 6], 2 * local[0, 6])
-    np.testing.assert_allclose(np.abs(out[0, 3:6] - out[0, :3]), 2 * np.array([local[0, 4] - local[0, 1], 0, 0]), atol=1e-9)
+    np.testing.assert_allclose(
+        np.abs(out[0, 3:6] - out[0, :3]), 2 * np.array([local[0, 4] - local[0, 1], 0, 0]), atol=1e-9
+    )
     assert np.isnan(out[1]).any()
 
 

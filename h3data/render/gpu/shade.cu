@@ -289,9 +289,9 @@ __device__ __forceinline__ int instance_of(const Shade& f, int world, u32 word) 
 // Words of a capsule and constants of its shadow, as in `blockers_simd.py`.
 struct Blocker {
     float3 start, along, light;
-    float per_length2, along_light, per_across2, radius, radius2, width, reach, per_range4, group, share, length;
+    float per_length2, along_light, per_across2, radius, radius2, width, reach, per_range4, group, share, length, per_radius;
 };
-#define BLOCKER_WORDS 20
+#define BLOCKER_WORDS 21
 #define SPREAD 0.30f
 #define FADE_M 0.25f
 #define KEPT_M 0.1f
@@ -319,9 +319,10 @@ __device__ __forceinline__ float shadow_of(const Blocker& c, float3 from_start) 
     float3 to = c.along * s - from_start;
     float off = sqrtf(fmaxf(dot(to, to) - away * away, 0.f)), disc = fmaxf(away * SPREAD, THINNEST_M);
     if (off >= disc + c.radius) return 0.f;
-    float step = clamp((disc + c.radius - off) / (fminf(disc, c.radius) * 2.f), 0.f, 1.f);
-    float most = fminf(c.radius / disc * fminf(c.width / disc, 1.f), 1.f);
-    return most * (step * step * (3.f - 2.f * step)) * clamp(away / (c.radius * 0.5f), 0.f, 1.f)
+    float per_disc = 1.f / disc;
+    float step = clamp((disc + c.radius - off) * (fmaxf(per_disc, c.per_radius) * 0.5f), 0.f, 1.f);
+    float most = fminf(c.radius * per_disc * fminf(c.width * per_disc, 1.f), 1.f);
+    return most * (step * step * (3.f - 2.f * step)) * clamp(away * (c.per_radius * 2.f), 0.f, 1.f)
         * clamp((c.reach + (KEPT_M + FADE_M) - away) * (1.f / FADE_M), 0.f, 1.f);
 }
 

@@ -132,9 +132,7 @@ class LightField:
         return Blockers(rows, tints)
 
 
-def group_means(
-    values: NDArray[np.float64], index: NDArray[np.integer], count: int
-) -> NDArray[np.float64]:
+def group_means(values: NDArray[np.float64], index: NDArray[np.integer], count: int) -> NDArray[np.float64]:
     """Means of the rows [N, K] of each group, shape [count, K]; 0 for groups without rows."""
     number = np.maximum(np.bincount(index, minlength=count), 1)
     return np.column_stack([np.bincount(index, column, count) / number for column in values.T])
@@ -166,13 +164,13 @@ def light_field(
     bright = cube[usable].mean(-1)
     away = -normalized(bright[:, 1::2] - bright[:, 0::2] + np.array([0, 1e-9, 0]))
     reach = np.zeros(usable.shape, np.float32)
-    reach[usable] = voxels.cell_m * free_path(distance, place[usable].astype(np.float64), away, _FARTHEST_M / voxels.cell_m)
+    reach[usable] = voxels.cell_m * free_path(
+        distance, place[usable].astype(np.float64), away, _FARTHEST_M / voxels.cell_m
+    )
     return LightField(voxels.origin, n * voxels.cell_m, cube, reach, mean, flat)
 
 
-def mirrored(
-    field: LightField, world: NDArray[np.floating], irradiance: NDArray[np.floating]
-) -> NDArray[np.float32]:
+def mirrored(field: LightField, world: NDArray[np.floating], irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
     """What vertices of a glossy floor mirror from -x, +x, +y, -z and +z, as light shown, shape [V, 5]; 0 for its sides.
 
     Args:

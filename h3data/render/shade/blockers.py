@@ -42,6 +42,7 @@ from h3data.render.shade.blockers_simd import (
     ORIGIN,
     PER_ACROSS2,
     PER_LENGTH2,
+    PER_RADIUS,
     PER_RANGE4,
     RADIUS,
     RADIUS2,
@@ -57,12 +58,12 @@ from h3data.render.shade.blockers_simd import (
     end_group_block,
 )
 
-TILE_X, TILE_Y = 16, 16
+TILE_X, TILE_Y = 16, 8
 """Pixels of an image that share a list of capsules."""
-_RANGE = 5.0
+_RANGE = 4.0
 """Range of the ambient occlusion in radii, beyond `_RANGE_M`."""
 _RANGE_M = 0.12
-_FAINTEST = 1 / 20
+_FAINTEST = 1 / 14
 """A shadow ends where it takes less of the light."""
 _SWEEP = 4
 """Spheres that enclose a capsule and the space that it may darken."""
@@ -114,6 +115,7 @@ def blocker_rows(
     out[:, REACH] = np.minimum(reach_m[order], np.sqrt(radius * width / _FAINTEST) / SPREAD)
     out[:, PER_RANGE4] = 1 / _range_m(radius) ** 4
     out[:, GROUP], out[:, SHARE], out[:, LENGTH] = groups[order], share[order], np.sqrt(length2)
+    out[:, PER_RADIUS] = 1 / radius
     return out
 
 
@@ -286,9 +288,12 @@ def _matters(rows, n, around):
         qx, qy, qz = ax * s - px, ay * s - py, az * s - pz
         away = s * rows[n, ALONG_LIGHT] - ahead
         off = np.sqrt(max(qx * qx + qy * qy + qz * qz - away * away, 0.0))
-        tilt = abs(rows[n, ALONG_LIGHT])  # points beside the middle may see another end of the axis
-        if -around[3] - tilt < away < rows[n, REACH] + KEPT_M + FADE_M + around[3] + tilt:
-            disc = max((away + around[3] + tilt) * SPREAD, 0.01)
+        # points beside the middle may see another part of the axis
+        high = max(rows[n, ALONG_LIGHT], 0.0) - ahead + around[3]
+        low = min(rows[n, ALONG_LIGHT], 0.0) - ahead - around[3]
+        longest = rows[n, REACH] + KEPT_M + FADE_M
+        if high > 0 and low < longest:
+            disc = max(min(high, longest) * SPREAD, 0.01)
             if off < disc + rows[n, RADIUS] + around[3]:
                 bits |= _ONE
     return bits

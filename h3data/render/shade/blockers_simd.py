@@ -14,12 +14,12 @@ from h3data.render.raster.vectors import FLOAT, FLOAT8, INT8, LANES, Vec, intrin
 
 # Float32 words of a capsule: one end, the vector to the other end, direction to the light, 1 / length^2, (vector . light),
 # 1 / squared length across the light, radius and its square, half the length across the light, distance that shadows reach,
-# 1 / range^4 of the ambient occlusion, group, share of the light that comes from the direction, and length.
+# 1 / range^4 of the ambient occlusion, group, share of the light that comes from the direction, length, and 1 / radius.
 START, ALONG, LIGHT, PER_LENGTH2, ALONG_LIGHT, PER_ACROSS2, RADIUS, RADIUS2, WIDTH, REACH, PER_RANGE4 = (
     0, 3, 6, 9, 10, 11, 12, 13, 14, 15, 16,
 )  # fmt: skip
-GROUP, SHARE, LENGTH = 17, 18, 19
-BLOCKER_WORDS = 20
+GROUP, SHARE, LENGTH, PER_RADIUS = 17, 18, 19, 20
+BLOCKER_WORDS = 21
 
 SPREAD = 0.30
 """Tangent of the angular radius of the light: that of a window 1.2 m wide, 2 m away."""
@@ -155,11 +155,12 @@ def block_one_direction(typing_context, blocker_at, owners_at, scratch_at):
         away = s * to_light - ahead
         off = (_dot((x, y, z), (x, y, z)) - away * away).maximum(0.0).unary("sqrt")
         disc = (away * SPREAD).maximum(_THINNEST_M)
-        step = (disc + radius - off).divided_by(disc.minimum(radius) * 2.0).maximum(0.0).minimum(1.0)
+        per_radius, per_disc = _word(b, blocker_at, PER_RADIUS), disc.reciprocal()
+        step = ((disc + radius - off) * (per_disc.maximum(per_radius) * 0.5)).maximum(0.0).minimum(1.0)
         overlap = step * step * (-(step * 2.0 - 3.0))
-        wide = _word(b, blocker_at, WIDTH).divided_by(disc).minimum(1.0)
-        most = (radius.divided_by(disc) * wide).minimum(1.0)
-        onset = away.divided_by(radius * 0.5).maximum(0.0).minimum(1.0)
+        wide = (_word(b, blocker_at, WIDTH) * per_disc).minimum(1.0)
+        most = (radius * per_disc * wide).minimum(1.0)
+        onset = (away * (per_radius * 2.0)).maximum(0.0).minimum(1.0)
         fade = ((_word(b, blocker_at, REACH) + (KEPT_M + FADE_M) - away) * (1 / FADE_M)).maximum(0.0).minimum(1.0)
         _take(b, most * overlap * onset * fade, blocker_at, owners_at, scratch_at, DIRECTED)
         return context.get_dummy_value()
@@ -194,9 +195,7 @@ def dim_levels_block(typing_context, near_at, strip_at, row_bytes, scratch_at):
 
     def codegen(context, b, signature, arguments):
         near_at, strip_at, row_bytes, scratch_at = arguments
-        left = _select(
-            b, Vec(b, load(b, near_at)).compare(">", 0.0), _row(b, scratch_at, LEFT), _constant(b, 1.0)
-        )
+        left = _select(b, Vec(b, load(b, near_at)).compare(">", 0.0), _row(b, scratch_at, LEFT), _constant(b, 1.0))
         for _ in range(3):
             level = Vec(b, b.sitofp(load(b, strip_at, 0, INT8), FLOAT8))
             store(b, b.fptosi((level * left).value, INT8), strip_at)

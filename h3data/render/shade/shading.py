@@ -213,9 +213,7 @@ def _shade_image(
                     if blocked and word >= 0 and cast.first[tile] < cast.first[tile + 1]:
                         near[0], owners[0] = cast.inv_z[sy, sx], owner_of(cast, target, word)
                         set_rays(rays, view, axes, u1, v1, 0.0)
-                        block_pixels(
-                            cast, tile, rays, near_at, owners_at, owners[0], sample_at, sample_bytes, scratch
-                        )
+                        block_pixels(cast, tile, rays, near_at, owners_at, owners[0], sample_at, sample_bytes, scratch)
                     for a in range(3):
                         strip[a, x] += sample[a, 0]
                 for a in range(3):

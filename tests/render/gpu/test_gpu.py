@@ -270,7 +270,9 @@ def test_glossy_floors_look_as_on_the_cpu(make, samples):
 @pytest.mark.parametrize("samples", [1, 4])
 def test_soft_shadows_and_tints_look_as_on_the_cpu(make, samples):
     rng = np.random.default_rng(5)
-    scene = RenderScene([room(), textured(ball(), 1)], [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.5, 0))])
+    scene = RenderScene(
+        [room(), textured(ball(), 1)], [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.5, 0))]
+    )
     start = rng.uniform([-1.5, 0.1, -1.5], [1.5, 1.2, 1.5], (20, 3))
     capsules = np.column_stack([start, start + rng.normal(0, 0.3, (20, 3)), rng.uniform(0.05, 0.2, 20)])
     group = np.arange(20) // 7

@@ -85,10 +85,11 @@ def reference(rows: NDArray, points: NDArray, normals: NDArray, owners: NDArray)
             away = s * to_light - ahead
             off = np.sqrt(np.maximum(dot(to, to) - away * away, F(0)))
             disc = np.maximum(away * F(SPREAD), F(0.01))
-            step = clamp((disc + radius - off) / (np.minimum(disc, radius) * F(2)), 0, 1)
+            per_radius, per_disc = row[module.PER_RADIUS], one / disc
+            step = clamp((disc + radius - off) * (np.maximum(per_disc, per_radius) * F(0.5)), 0, 1)
             overlap = step * step * (F(3) - step * F(2))
-            most = np.minimum(radius / disc * np.minimum(width / disc, one), one)
-            onset = clamp(away / (radius * F(0.5)), 0, 1)
+            most = np.minimum(radius * per_disc * np.minimum(width * per_disc, one), one)
+            onset = clamp(away * (per_radius * F(2)), 0, 1)
             fade = clamp((reach + F(KEPT_M + FADE_M) - away) * F(1 / FADE_M), 0, 1)
             directed *= np.where(own, one, one - most * overlap * onset * fade)
             ambient *= np.where(own, one, one - hidden)
@@ -168,9 +169,7 @@ def test_a_picture_without_capsules_in_it_is_the_same_picture() -> None:
     scene = floor_scene()
     renderer = Renderer(scene)
     plain = renderer.render(CAMERA, outputs=("depth", "instance", "rgb"))
-    far = blocker_rows(
-        np.array([[50.0, 1, 50, 50, 2, 50, 0.2]]), np.zeros(1, int), UP[None], np.ones(1), np.ones(1)
-    )
+    far = blocker_rows(np.array([[50.0, 1, 50, 50, 2, 50, 0.2]]), np.zeros(1, int), UP[None], np.ones(1), np.ones(1))
     renderer.set_blockers(Blockers(far, no_tints(scene)))
     for name, image in renderer.render(CAMERA, outputs=("depth", "instance", "rgb")).items():
         np.testing.assert_array_equal(image, plain[name])
@@ -194,7 +193,7 @@ def test_a_sphere_on_the_floor_takes_its_form_factor() -> None:
     points = np.column_stack([x, 0 * x, 0 * x])
     taken = _floor_darkening([0, 0.1, 0, 0, 0.1, 0, 0.1], UP, 0.0, points)
     exact = 0.1**3 / (x**2 + 0.1**2) ** 1.5  # cosine 0.1 / d, times (r / d)^2
-    window = (1 - ((x**2 + 0.01) / 0.62**2) ** 2) ** 2
+    window = (1 - ((x**2 + 0.01) / 0.52**2) ** 2) ** 2
     np.testing.assert_allclose(taken, (1 - DARKEST) * exact * window, rtol=1e-4)
 
 
@@ -202,7 +201,7 @@ def test_a_long_cylinder_on_the_floor_takes_its_form_factor() -> None:
     x = np.linspace(0.06, 0.2, 9)
     taken = _floor_darkening([0, 0.05, -3, 0, 0.05, 3, 0.05], UP, 0.0, np.column_stack([x, 0 * x, 0 * x]))
     distance2 = x**2 + 0.05**2
-    window = (1 - (distance2 / 0.37**2) ** 2) ** 2
+    window = (1 - (distance2 / 0.32**2) ** 2) ** 2
     np.testing.assert_allclose(taken, (1 - DARKEST) * 0.05**2 / distance2 * window, rtol=1e-4)  # (r / d) (cosine r / d)
 
 
@@ -230,7 +229,9 @@ def test_walls_stop_a_shadow() -> None:
 
 def test_a_group_does_not_darken_itself_and_tints_multiply() -> None:
     scene = floor_scene()
-    rows = blocker_rows(np.array([[0.6, 0.25, 0.4, 0.6, 0.3, 0.4, 0.3]]), np.array([5]), UP[None], np.ones(1), np.ones(1))
+    rows = blocker_rows(
+        np.array([[0.6, 0.25, 0.4, 0.6, 0.3, 0.4, 0.3]]), np.array([5]), UP[None], np.ones(1), np.ones(1)
+    )
     renderer = Renderer(scene)
     plain = renderer.render(CAMERA, outputs=("instance", "rgb"))
     box = plain["instance"] == 1

@@ -221,7 +221,9 @@ def _glossy_floor(camera: Camera, mirror: NDArray, *, samples=1) -> dict[str, ND
         faces=np.int32([[0, 1, 2], [0, 2, 3]]),
         colors=np.full((4, 3), 120, np.uint8),
     )
-    scene = RenderScene([floor], [RenderInstance(0, np.eye(4))], mirrors={0: np.tile(mirror.astype(np.float32), (4, 1))})
+    scene = RenderScene(
+        [floor], [RenderInstance(0, np.eye(4))], mirrors={0: np.tile(mirror.astype(np.float32), (4, 1))}
+    )
     light = dataclasses.replace(WHITE_ROOM, occlusion=0.0)
     return Renderer(scene, light=light).render(camera, outputs=("rgb", "depth"), samples=samples)
 
@@ -231,7 +233,9 @@ def _glossy_floor(camera: Camera, mirror: NDArray, *, samples=1) -> dict[str, ND
 def test_a_glossy_floor_mirrors_by_schlick_what_lies_in_the_mirrored_direction(kind, samples):
     mirror = np.array([0.2, 0.9, 0.5, 0.3, 0.7])
     pose = look_at([0, 1.5, 0], [1.2, 0.5, 0.9])
-    camera = pinhole(48, 36, hfov_deg=60, pose=pose) if kind == "perspective" else orthographic(48, 36, width_m=3, pose=pose)
+    camera = (
+        pinhole(48, 36, hfov_deg=60, pose=pose) if kind == "perspective" else orthographic(48, 36, width_m=3, pose=pose)
+    )
     picture = _glossy_floor(camera, mirror, samples=samples)
     _, rays = camera.rays()
     rays = np.broadcast_to(rays, (36, 48, 3)) @ pose[:3, :3].T

@@ -100,7 +100,11 @@ def log_agents(sink: Sink, recording: Recording, with_meshes: set[int]) -> None:
             ball = rr.Points3D([start], radii=[MARK_M], colors=[color], labels=[f"{agent.name} starts"])
             sink.static(f"{entity}/start", ball)
             cube = rr.Boxes3D(
-                centers=[end], half_sizes=[[MARK_M] * 3], colors=[color], labels=[f"{agent.name} ends"], fill_mode="solid"
+                centers=[end],
+                half_sizes=[[MARK_M] * 3],
+                colors=[color],
+                labels=[f"{agent.name} ends"],
+                fill_mode="solid",
             )
             sink.static(f"{entity}/end", cube)
 

@@ -98,7 +98,9 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
     if not rows:
         root = homes[0] if len(homes) == 1 else rrb.Horizontal(*homes)
     elif len(homes) == 1:
-        root = rrb.Horizontal(homes[0], rrb.Vertical(*rows, row_shares=shares), column_shares=[1, 1] if large else [3, 2])
+        root = rrb.Horizontal(
+            homes[0], rrb.Vertical(*rows, row_shares=shares), column_shares=[1, 1] if large else [3, 2]
+        )
     else:
         root = rrb.Vertical(rrb.Horizontal(*homes), rrb.Horizontal(*rows), row_shares=[3, 2])
     return rrb.Blueprint(root, time, collapse_panels=True)
