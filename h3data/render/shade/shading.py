@@ -127,7 +127,8 @@ def shade(
 ) -> None:
     """Fills ``rgb`` [H, W, 3] and ``normal`` [H, W, 3], where given, from a rendered target.
 
-    ``blockers`` keep light from ``rgb``. With ``samples=4``, target and view have twice the size of ``rgb``, and pixels whose four samples see different
+    ``blockers`` keep light from ``rgb``.
+    With ``samples=4``, target and view have twice the size of ``rgb``, and pixels whose four samples see different
     triangles are averaged in linear light.
     """
     no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)

@@ -55,7 +55,7 @@ def test_light_comes_from_the_lamp(field: LightField) -> None:
 
 def test_shadows_reach_to_the_next_wall(field: LightField) -> None:
     light = field.at(np.array([[2.0, 1.0, 1.5]]))
-    down = 1.0 / max(-(-light.direction[0, 1]), 1e-3)  # to the floor along the light
+    down = 1.0 / max(light.direction[0, 1], 1e-3)  # to the floor along the light
     assert abs(light.reach_m[0] - down) < 0.5
     beside_wall = field.at(np.array([[3.7, 1.3, 1.5]]))
     assert beside_wall.reach_m[0] < 1.2

@@ -29,7 +29,7 @@ def capsules_at_random(rng: np.random.Generator, count: int) -> NDArray[np.float
 
 def rows_at_random(rng: np.random.Generator, count: int = 24, groups: int = 4) -> NDArray[np.float32]:
     group = rng.integers(0, groups, count)
-    light = rng.normal(0, 1, (groups, 3)) + [0, 1.5, 0]
+    light = rng.normal([0, 1.5, 0], 1, (groups, 3))
     light /= np.linalg.norm(light, axis=1, keepdims=True)
     share, reach = rng.uniform(0, 0.8, groups), rng.uniform(0.2, 3, count)
     return blocker_rows(capsules_at_random(rng, count), group, light[group], share[group], reach)
@@ -130,7 +130,7 @@ def test_eight_pixels_at_a_time_equal_the_reference_bit_by_bit() -> None:
         origin, direction = (rays[k : k + 6 : 2, None] + rays[k + 1 : k + 6 : 2, None] * lane for k in (0, 6))
         want = reference(rows, (origin + direction * z).T, normals.T.astype(F), owners)
         np.testing.assert_array_equal(scratch[LEFT], want)
-        np.testing.assert_array_equal(strip[:3], (levels * want).astype(np.int32))
+        np.testing.assert_array_equal(strip[:3], (levels.astype(F) * want).astype(np.int32))
         darkest = min(darkest, float(want.min()))
     assert darkest < 0.5
 
