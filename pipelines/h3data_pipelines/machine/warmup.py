@@ -136,11 +136,17 @@ def _pictures() -> None:
 
 def _light() -> None:
     from h3data.mesh.primitives import box_mesh
-    from h3data.render import RenderInstance
+    from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
     from h3data.render.light.bake import lit_scene
     from h3data.render.light.sources import LightSources
 
-    lit_scene([box_mesh((1, 1, 1))], [RenderInstance(0, np.eye(4))], [0], LightSources())
+    lit = lit_scene([box_mesh((1, 1, 1))], [RenderInstance(0, np.eye(4))], [0], LightSources())
+    if lit.field is not None:
+        renderer = Renderer(RenderScene(lit.meshes, lit.instances, mirrors=lit.mirrors), light=lit.light)
+        ball = np.array([[0.0, 1.2, 0, 0, 1.2, 0, 0.2]])
+        renderer.set_blockers(lit.field.blockers(ball, np.zeros(1, np.int64), members=np.full(1, -1)))
+        above = look_at(np.array([0.0, 3.0, 0.1]), np.zeros(3))
+        renderer.render(pinhole(16, 16, hfov_deg=60, pose=above), outputs=("rgb",))
 
 
 def _people() -> None:
