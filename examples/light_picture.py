@@ -29,7 +29,7 @@ for (preset, seed), names in ROOMS.items():
     fixed = {instance.name for instance in home.static_instances}
     static = [k for k, instance in enumerate(flat.instances) if instance.name in fixed]
     lit = lit_scene(flat.meshes, flat.instances, static, sources_of(home), name=home.name)
-    renderers = Renderer(flat), Renderer(RenderScene(lit.meshes, lit.instances), light=lit.light)
+    renderers = Renderer(flat), Renderer(RenderScene(lit.meshes, lit.instances, mirrors=lit.mirrors), light=lit.light)
     for name in names:
         room = next(room.name for room in home.rooms if room.category == name)
         camera = eye_level_camera(home, free, room=room, width=480, height=320)

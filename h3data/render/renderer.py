@@ -12,6 +12,8 @@ from h3data.errors import InputError, MissingExtraError
 from h3data.render.camera import Camera
 from h3data.render.outputs import Output, Poses, check_outputs
 from h3data.render.scene import RenderScene
+from h3data.render.shade.blockers import Blockers
+from h3data.render.shade.blockers_simd import BLOCKER_WORDS
 from h3data.render.shade.shading import Light
 
 Backend = Literal["auto", "cpu", "gpu", "rays"]
@@ -30,6 +32,10 @@ class Engine(Protocol):
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
         """Replaces the vertices [V, 3] of a deformable mesh; the engine may keep the array."""
+        ...
+
+    def set_blockers(self, world: int, blockers: Blockers | None) -> None:
+        """Sets what keeps light from surfaces."""
         ...
 
     def poses(self, world: int) -> Poses:
@@ -118,6 +124,24 @@ class Renderer:
                 f"Mesh {mesh} needs {list(expected)} finite vertices, got {fault}. Hint: hide it with set_visible."
             )
         self._engine.set_vertices(self._world(world), mesh, v)
+
+    def set_blockers(self, blockers: Blockers | None, *, world: int = 0) -> None:
+        """Sets the capsules that cast soft shadows in ``rgb``, and the light on what moves; None = neither.
+
+        `h3data.render.light.field.LightField.blockers` makes them from the poses of agents and things; they stay until
+        they are set again.
+        """
+        if blockers is not None:
+            rows, tints, count = blockers.rows, blockers.tints, len(self.scene.instances)
+            if rows.ndim != 2 or rows.shape[1] != BLOCKER_WORDS or tints.shape != (count, 4):
+                raise InputError(
+                    f"Blockers need rows [N, {BLOCKER_WORDS}] and tints [{count}, 4], "
+                    f"got {list(rows.shape)} and {list(tints.shape)}."
+                )
+            if not (np.isfinite(rows).all() and np.isfinite(tints).all()):
+                raise InputError("Blockers need finite numbers. Hint: blocker_rows leaves out capsules with NaN.")
+            blockers = Blockers(np.ascontiguousarray(rows, np.float32), np.ascontiguousarray(tints, np.float32))
+        self._engine.set_blockers(self._world(world), blockers)
 
     def poses(self, world: int = 0) -> Poses:
         """A copy of the state of a world, e.g. for `h3data.render.optical_flow`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.render.raster.clusters import Clusters, build_clusters, enclosing_box, normal_groups
 from h3data.render.raster.raster import Geometry
 from h3data.render.shade.cutouts import cut_out_faces, pack_cutouts
+from h3data.render.shade.shading_simd import MIRROR_SIDES
 from h3data.render.shade.surface import Surface
 from h3data.render.shade.textures import pack_textures
 
@@ -42,13 +43,26 @@ class RenderScene:
     """
 
     def __init__(
-        self, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], *, deformable: Sequence[int] = ()
+        self,
+        meshes: Sequence[Mesh],
+        instances: Sequence[RenderInstance],
+        *,
+        deformable: Sequence[int] = (),
+        mirrors: Mapping[int, NDArray[np.float32]] | None = None,
     ) -> None:
-        """``deformable`` lists the meshes whose vertices will be replaced, e.g. skinned bodies."""
+        """
+        Args:
+            meshes: The meshes.
+            instances: Their instances.
+            deformable: Meshes whose vertices will be replaced, e.g. skinned bodies.
+            mirrors: Glossy meshes, and the light that their vertices mirror from -x, +x, +y, -z and +z, each [V, 5]
+                (`h3data.render.light.bake.LitScene.mirrors`).
+        """
         self.meshes = tuple(meshes)
         self.instances = tuple(instances)
         self.deformable = tuple(sorted({int(m) for m in deformable}))
-        _check(self.meshes, self.instances, self.deformable)
+        self.mirrors = dict(mirrors or {})
+        _check(self.meshes, self.instances, self.deformable, self.mirrors)
         count = len(self.instances)
         self.instance_mesh = np.array([i.mesh for i in self.instances], np.int32).reshape(count)
         self.instance_matrix = np.zeros((count, 3, 4))
@@ -87,6 +101,7 @@ class RenderScene:
             packet_faces=self.packet_triangles.copy(),
             uv=np.zeros((vertices if textures else 0, 2), np.float32),
             face_textures=np.full(faces, -1, np.int32),
+            mirrors=np.zeros((vertices if self.mirrors else 0, MIRROR_SIDES), np.float32),
             textures=pack_textures(textures),
         )
         geometry = self.geometry
@@ -94,6 +109,8 @@ class RenderScene:
             v, f = int(self.first_vertex[m]), int(self.first_face[m])
             surface.faces[f : f + len(mesh.faces)] = mesh.faces + v
             surface.colors[v : v + len(mesh.vertices)] = mesh.colors
+            if m in self.mirrors:
+                surface.mirrors[v : v + len(mesh.vertices)] = self.mirrors[m]
             if mesh.normals is not None:
                 surface.normals[v : v + len(mesh.vertices)] = mesh.normals
             if mesh.textures and mesh.uv is not None:
@@ -173,8 +190,17 @@ def _join(parts: list[Clusters], deformable: tuple[int, ...]) -> tuple[Geometry,
     return geometry, np.concatenate([np.zeros((0, 8), np.int32), *lanes])
 
 
-def _check(meshes: tuple[Mesh, ...], instances: tuple[RenderInstance, ...], deformable: tuple[int, ...]) -> None:
+def _check(
+    meshes: tuple[Mesh, ...],
+    instances: tuple[RenderInstance, ...],
+    deformable: tuple[int, ...],
+    mirrors: Mapping[int, NDArray[np.float32]],
+) -> None:
     faults = []
+    for m, mirrored in mirrors.items():
+        expected = (len(meshes[m].vertices), MIRROR_SIDES) if 0 <= m < len(meshes) else None
+        if np.shape(mirrored) != expected or not np.isfinite(mirrored).all():
+            faults.append(f"mirrors of mesh {m} must be finite {list(expected or ())}, got {list(np.shape(mirrored))}")
     for m, mesh in enumerate(meshes):
         if not np.isfinite(mesh.vertices).all():
             faults.append(f"mesh {m} has vertices that are not finite")

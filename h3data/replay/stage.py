@@ -18,9 +18,11 @@ from h3data.bodies import Humanoid
 from h3data.geometry import Array, pose_to_matrix
 from h3data.render import Camera, Light, Output, Renderer, RenderInstance, RenderScene
 from h3data.render.light.bake import lit_scene
+from h3data.render.light.field import capsule_of_box
 from h3data.render.light.sources import sources_of
 from h3data.replay.posed_recording import PosedRecording
 from h3data.replay.records import BodyTrack, CameraTrack, LinkTrack, PersonTrack
+from h3data.replay.shadow_casters import ShadowCasters, shadow_casters
 from h3data.scene import Mesh
 
 JOINT_STEPS = 64
@@ -71,9 +73,11 @@ class Stage:
                 self._rigged.append((index, skin))
         meshes = [skin.mesh for _, skin in deformable] + [p.light.mesh for p in self._people if p.light]
         self._light: Light | None = None
+        self._casters: ShadowCasters | None = None
+        self._mirrors: dict[int, NDArray[np.float32]] = {}
         if replay.light == "baked":
             self._bake()
-        self.scene = RenderScene(self._meshes, self._instances, deformable=meshes)
+        self.scene = RenderScene(self._meshes, self._instances, deformable=meshes, mirrors=self._mirrors)
         self._find_movers()
         self._joints = lru_cache(maxsize=64)(self._joints_of_chunk)
 
@@ -86,6 +90,11 @@ class Stage:
         name = scene.name if scene is not None else "this recording's scene"
         lit = lit_scene(self._meshes, self._instances, static, sources_of(scene), name=name)
         self._meshes, self._instances, self._light = lit.meshes, lit.instances, lit.light
+        self._mirrors = lit.mirrors
+        if lit.field is not None:
+            agents = {k: drawable.agent for k, drawable in enumerate(self.replay.drawables) if k not in set(static)}
+            agents |= {p.light.instance: p.agent for p in self._people if p.light}
+            self._casters = shadow_casters(lit.field, self._meshes, self._instances, agents)
 
     def _add(self, index: int, mesh: Mesh, *, shared: bool) -> int:
         """Adds an instance of drawable ``index``; returns the index of its mesh."""
@@ -150,23 +159,36 @@ class Stage:
         samples: Literal[1, 4] = 1,
     ) -> Images:
         """The outputs of each camera at ``step``, by a renderer of this stage."""
+        rigid: list[tuple[NDArray[np.intp], Array]] = []
+        deformed: dict[int, NDArray[np.floating]] = {}
         if len(self._bodies):
             poses = self.replay.recording.columns["object_pose"][step, self._columns]
             matrices = pose_to_matrix(poses.astype(np.float64))  # NaN where a body is absent
             matrices[:, :3, :3] *= self._scales
             renderer.set_transforms(self._bodies, matrices)
+            rigid.append((self._bodies, matrices))
         rows = np.array([step])
         for agent, instances, links in self._robots:
-            renderer.set_transforms(instances, self.replay.link_matrices(agent, rows)[0, links])
+            matrices = self.replay.link_matrices(agent, rows)[0, links]
+            renderer.set_transforms(instances, matrices)
+            rigid.append((instances, matrices))
         for index, skin in self._rigged:
             vertices = self.replay.vertices(index, rows)[0]
             present = bool(np.isfinite(vertices).all())
             renderer.set_visible([skin.instance], present)
             if present:
                 renderer.set_vertices(skin.mesh, vertices)
+                deformed[skin.instance] = capsule_of_box(vertices.min(0), vertices.max(0))[None]
         people = [
             (person, self._joints(person.agent, step // JOINT_STEPS)[[step % JOINT_STEPS]]) for person in self._people
         ]
+        if self._casters is not None:
+            for person, joints in people:
+                ends = person.body.capsules_world(joints)
+                skin = person.full or person.light
+                assert skin is not None
+                deformed[skin.instance] = np.column_stack([ends[0][0], ends[1][0], ends[2]])
+            renderer.set_blockers(self._casters.blockers(rigid, deformed))
         posed: set[_Skin] = set()
         images = []
         for camera in cameras:

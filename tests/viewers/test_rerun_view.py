@@ -23,6 +23,8 @@ from h3data_pipelines.cli import main
 from h3data_viewers import CameraFeed, write_rrd
 from h3data_viewers.rerun import transforms
 from h3data_viewers.rerun.cameras import frame_steps
+from h3data_viewers.rerun.entities import agent_colors
+from h3data_viewers.rerun.layout import LoggedRecording, layout
 from h3data_viewers.rerun.sink import Sink
 from h3data_viewers.rerun.timeseries import lanes_of, log_scalars
 from tests.viewers.rerun_file import STEPS, File, Stage, example
@@ -156,6 +158,53 @@ def test_identity_and_layout(written):
     assert [(s.application_id, s.recording_id) for s in file.recordings] == [("h3data", "7a1e")]
     assert len(file.blueprints) == 1
     assert file.at("/__properties/episode", "task", 0) == ["social_nav"]
+
+
+def test_paths_begin_and_end_with_marks_in_the_colour_of_their_agent(written):
+    recording, _, file = written
+    colors = set()
+    for index, name in enumerate(("spot", "alex")):
+        track = recording.agent_column(index, "base_pose")[:, :3]
+        entity = f"/world/trajectories/{name}"
+        _, start = file.column(f"{entity}/start", "Points3D:positions")
+        _, end = file.column(f"{entity}/end", "Boxes3D:centers")
+        assert np.allclose(np.subtract(start[0], track[0]), [0, 0.03, 0], atol=1e-6)
+        assert np.allclose(np.subtract(end[0], track[-1]), [0, 0.03, 0], atol=1e-6)
+        assert file.column(f"{entity}/start", "Points3D:labels")[1] == [f"{name} starts"]
+        own = {file.column(entity, "LineStrips3D:colors")[1][0], file.column(f"{entity}/end", "Boxes3D:colors")[1][0]}
+        assert len(own) == 1
+        colors |= own
+    assert len(colors) == 2
+
+
+def test_agents_of_one_kind_have_different_colours():
+    people = tuple(Agent(name=f"p{k}", kind="human") for k in range(3))
+    robots = tuple(Agent(name=f"r{k}", kind="robot") for k in range(3))
+    colors = agent_colors((*people, *robots))
+    assert len(set(colors)) == 6
+    assert all(b > r for r, _, b in colors[:3])  # people cold
+    assert all(r > b for r, _, b in colors[3:])  # robots warm
+
+
+def test_the_picture_in_third_person_is_the_largest():
+    def of(*cameras: str) -> Any:
+        logged = LoggedRecording(
+            label="", name="Home", world="/world", focus=np.array([[0.0, 0, 0], [4, 2, 4]]), hidden=(),
+            cameras=[f"/world/cameras/{c}" for c in cameras], plotted=["/metrics/d"], lanes=["/actions/a", "/actions/b"],
+            latency=(), log="/log", inputs="",
+        )  # fmt: skip
+        return layout([logged], timeline="step").root_container
+
+    both = of("robot_arm", "third_person", "person_head")
+    assert both.column_shares == [1, 1]
+    column = both.contents[1]
+    assert column.contents[0].name == "third_person"
+    assert [view.name for view in column.contents[1].contents] == ["robot_arm", "person_head"]
+    assert column.row_shares[0] == max(column.row_shares) > 2 * column.row_shares[1]
+    assert column.row_shares[3] > 1.0  # lanes are wide enough to be read
+    without = of("robot_arm")
+    assert without.column_shares == [3, 2]
+    assert without.contents[1].contents[0].name == "robot_arm"
 
 
 def test_only_distances_share_a_plot():

@@ -15,6 +15,7 @@ from h3data.render.gpu.engine import GpuEngine, copied_to
 from h3data.render.gpu.views import tensor_of
 from h3data.render.hybrid import HybridEngine
 from h3data.render.scene import RenderScene
+from h3data.render.shade.blockers import Blockers
 from h3data.render.shade.shading import Light
 
 if TYPE_CHECKING:
@@ -47,6 +48,11 @@ class AutoEngine(GpuEngine):
         if self._cpu:
             self._cpu.set_vertices(world, mesh, vertices)
 
+    def set_blockers(self, world: int, blockers: Blockers | None) -> None:
+        super().set_blockers(world, blockers)
+        if self._cpu:
+            self._cpu.set_blockers(world, blockers)
+
     def render(
         self,
         cameras: Sequence[Camera],
@@ -72,6 +78,7 @@ class AutoEngine(GpuEngine):
         engine = HybridEngine(scene, light=self._cpu_light, worlds=count, threads=self._threads)
         for world in range(count):
             poses = self.poses(world)
+            engine.set_blockers(world, self._blockers[world])
             same = np.isclose(poses.matrix, scene.instance_matrix, rtol=0, atol=0, equal_nan=True).all((1, 2))
             moved, hidden = np.flatnonzero(~same), np.flatnonzero(~poses.visible)
             if len(moved):

@@ -17,6 +17,7 @@ from h3data.render.gpu.gpu_scene import GpuScene
 from h3data.render.gpu.renderer import GpuRenderer
 from h3data.render.outputs import Poses
 from h3data.render.scene import RenderScene
+from h3data.render.shade.blockers import Blockers
 from h3data.render.shade.shading import Light
 
 
@@ -33,7 +34,8 @@ class GpuEngine:
         self._vertices: dict[int, NDArray[np.float32]] = {}
         self._changed_meshes: list[set[int]] = [set() for _ in range(worlds)]
         self._renderer: GpuRenderer | None = None
-        self._poses_stale = True
+        self._blockers: list[Blockers | None] = [None] * worlds
+        self._poses_stale, self._blockers_stale = True, False
         self._stale_meshes: set[int] = set()
 
     # --- state --------------------------------------------------------------------------------------------------------
@@ -51,6 +53,10 @@ class GpuEngine:
         self._vertices[mesh][world] = vertices
         self._changed_meshes[world].add(mesh)
         self._stale_meshes.add(mesh)
+
+    def set_blockers(self, world: int, blockers: Blockers | None) -> None:
+        self._blockers[world] = blockers
+        self._blockers_stale = True
 
     def poses(self, world: int) -> Poses:
         vertices = {mesh: self._vertices[mesh][world].copy() for mesh in sorted(self._changed_meshes[world])}
@@ -76,12 +82,14 @@ class GpuEngine:
                 self._stage, width=width, height=height, worlds=self.world_count, light=self.light
             )
             self._renderer = renderer
-            self._poses_stale, self._stale_meshes = True, set(self._vertices)
+            self._poses_stale, self._blockers_stale, self._stale_meshes = True, True, set(self._vertices)
         if self._poses_stale and len(self.scene.instances):
             renderer.update_poses(np.where(self._visible[..., None, None], self._matrix, np.nan))
         for mesh in sorted(self._stale_meshes):
             renderer.update_vertices(mesh, self._vertices[mesh])
-        self._poses_stale, self._stale_meshes = False, set()
+        if self._blockers_stale:
+            renderer.update_blockers(self._blockers)
+        self._poses_stale, self._blockers_stale, self._stale_meshes = False, False, set()
         return renderer
 
 

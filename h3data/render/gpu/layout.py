@@ -76,12 +76,13 @@ class Shade(Struct):
     _fields_ = [
         ("world", World),
         *_fields(
-            "depth words triangle_instances triangle_faces instance_ids semantic_ids normals colors uv triangle_textures "
+            "depth words triangle_instances triangle_faces instance_ids semantic_ids normals colors uv mirrors "
+            "triangle_textures "
             "levels first_level texels normal_groups group_first group_faces linear_of_byte byte_of_level surfaces occlusion "
-            "instance semantic triangle normal rgb"
+            "blockers blocker_counts receivers instance semantic triangle normal rgb"
         ),
         ("light", ctypes.c_float * 27),
-        *_fields("", float="strength", int="coarse_width coarse_height samples"),
+        *_fields("", float="strength", int="coarse_width coarse_height blocker_limit receiver_limit samples"),
     ]
 
 

@@ -21,6 +21,7 @@ from h3data.render.gpu.layout import BOX, PLACE, SCENE
 from h3data.render.gpu.meshlets import build_meshlets
 from h3data.render.gpu.pool import Pool, mesh_arrays
 from h3data.render.scene import RenderScene
+from h3data.render.shade.shading_simd import MIRROR_SIDES
 
 MAX_LAYERS, MAX_ITEMS, MAX_JOINTS = 32, 65535, 256
 
@@ -44,6 +45,7 @@ class Packed:
     normals: NDArray[np.float32]
     colors: NDArray[np.uint8]
     uv: NDArray[np.float32]
+    mirrors: NDArray[np.float32]
     levels: NDArray[np.int32]
     first_level: NDArray[np.int32]
     texels: NDArray[np.uint32]
@@ -86,7 +88,7 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
     """
     for number, stage in enumerate(scenes):
         _check(stage, number)
-    pool, deformed = Pool(), Deformables(scenes)
+    pool, deformed = Pool(glossy=any(stage.scene.mirrors for stage in scenes)), Deformables(scenes)
     for number in range(len(scenes)):
         deformed.pack(pool, number)
     layers = tuple(sorted({str(layer) for stage in scenes for layer in stage.scene.layers} - {""}))
@@ -141,6 +143,7 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
         normals=pool.joined("normals", (0, 3), np.float32),
         colors=colors,
         uv=pool.joined("uv", (0, 2), np.float32),
+        mirrors=pool.joined("mirrors", (0, MIRROR_SIDES), np.float32),
         levels=pool.joined("levels", (0, 4), np.int32),
         first_level=pool.joined("first_level", (0,), np.int32),
         texels=pool.joined("texels", (0,), np.uint32),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from h3data.render.gpu.layout import BOX
 from h3data.render.gpu.meshlets import Meshlets
 from h3data.render.scene import RenderScene
+from h3data.render.shade.shading_simd import MIRROR_SIDES
 
 _BOX_MARGIN_M = 1e-6
 _CUT_OUT = np.int32(-(2**31))
@@ -19,7 +20,9 @@ _CUT_OUT = np.int32(-(2**31))
 class Pool:
     """Clusters of many meshes, concatenated."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, glossy: bool = False) -> None:
+        """``glossy``: keeps what vertices mirror."""
+        self.glossy = glossy
         self.vertex_count = self.cluster_count = 0
         self.parts: dict[str, list[NDArray[Any]]] = {}
 
@@ -39,6 +42,7 @@ class Pool:
         normals: NDArray,
         colors: NDArray,
         uv: NDArray,
+        mirrors: NDArray,
         face_ids: NDArray,
         face_textures: NDArray,
         face_instances: NDArray,
@@ -70,6 +74,8 @@ class Pool:
             triangle_textures=per_triangle(face_textures),
             triangle_instances=per_triangle(face_instances),
         )
+        if self.glossy:
+            self.keep(mirrors=mirrors[cut.vertices])
         self.vertex_count += len(cut.vertices)
         self.cluster_count += count
         return groups
@@ -100,6 +106,7 @@ def mesh_arrays(scene: RenderScene, mesh: int, first_texture: int, *, instance: 
         "normals": surface.normals[v],
         "colors": colors,
         "uv": surface.uv[v] if len(surface.uv) else np.zeros((len(colors), 2), np.float32),
+        "mirrors": surface.mirrors[v] if len(surface.mirrors) else np.zeros((len(colors), MIRROR_SIDES), np.float32),
         "face_ids": np.arange(count, dtype=np.int32),
         "face_textures": np.where(textures >= 0, textures + first_texture, -1).astype(np.int32),
         "face_instances": np.full(count, instance, np.int32),

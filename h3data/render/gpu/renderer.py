@@ -19,6 +19,7 @@ from h3data.render.gpu.shader import Shader
 from h3data.render.gpu.views import Variant, Views, choose_variant, depth_range, new_views, tensor_of
 from h3data.render.outputs import FORMS, Output, check_outputs
 from h3data.render.scene import RenderScene
+from h3data.render.shade.blockers import Blockers
 from h3data.render.shade.shading import Light
 
 if TYPE_CHECKING:
@@ -221,6 +222,12 @@ class GpuRenderer:
                 worlds = [w for w, scene in enumerate(self.scene_of_world) if scene == number]
                 self._sources[worlds, first : first + given.shape[1]] = given[worlds]
         self._run_deform()
+
+    def update_blockers(self, blockers: Sequence[Blockers | None]) -> None:
+        """Sets what keeps light from surfaces (`Renderer.set_blockers`), one for each world, from the host."""
+        if len(blockers) != self.worlds:
+            raise InputError(f"Expected blockers for {self.worlds} worlds, got {len(blockers)}.")
+        self._shader.set_blockers(blockers)
 
     def _skin(self, joints: torch.Tensor) -> None:
         """Deforms all skinned meshes to joints [worlds, bodies, J, 3 or 4, 4]."""

@@ -21,6 +21,7 @@ struct Shade {
     const float* normals;        // per pool vertex; 0 = flat
     const uchar4* colors;        // sRGB; w = 1 in deformable meshes with smooth normals
     const float2* uv;
+    const float* mirrors;        // per pool vertex, 5 each: light that glossy surfaces mirror; 0 = no mesh is glossy
     const int* triangle_textures;
     const Level* levels;
     const int* first_level;
@@ -32,6 +33,9 @@ struct Shade {
     const unsigned char* byte_of_level;
     const float4* surfaces;      // ambient occlusion: slopes of 1/z along x and y, sharpness, 1/z; 0 = none
     const float* occlusion;
+    const float* blockers;       // [worlds, blocker_limit, BLOCKER_WORDS]: capsules, as in `blockers_simd.py`
+    const int* blocker_counts;   // per world
+    const float4* receivers;     // [worlds, receiver_limit] by instance of the scene: tint, group; 0 = no tints, no blockers
     int* instance;
     int* semantic;
     int* triangle;
@@ -40,6 +44,7 @@ struct Shade {
     Light light;
     float strength;              // of the occlusion
     int coarse_width, coarse_height;
+    int blocker_limit, receiver_limit;
     int samples;                 // 1 or 4: then depth and words are twice as wide and high as `rgb`
 };
 
@@ -132,7 +137,32 @@ __device__ __forceinline__ float3 bilinear(const u32* texels, const Level& level
     return upper * (1.f - lower) + (texel(at[0]) * (1.f - right) + texel(at[1]) * right) * lower;
 }
 
-struct Surface { float3 color, normal; };  // linear; colours are lit
+struct Surface {              // linear; colours are lit
+    float3 color, normal;
+    float mirrored, share;   // light that a glossy surface mirrors, and how much it does; 0 = dull
+};
+
+#define FACING_SHARE 0.04f
+#define GRAZING_SHARE 0.5f
+
+// What a glossy floor mirrors, as `gloss_block` of `shading_simd.py`.
+__device__ __forceinline__ void gloss(const Shade& f, const int* v, float b1, float b2, float3 ray, Surface& out) {
+    float sides[5];
+    bool glossy = false;
+    for (int k = 0; k < 5; k++) {
+        float corner[3];
+        for (int j = 0; j < 3; j++) corner[j] = f.mirrors[5 * (size_t)v[j] + k];
+        glossy |= corner[0] > 0.f || corner[1] > 0.f || corner[2] > 0.f;
+        sides[k] = corner[0] + (corner[1] - corner[0]) * b1 + (corner[2] - corner[0]) * b2;
+    }
+    if (!glossy) return;
+    ray = unit(ray);
+    float facing = clamp(-dot(out.normal, ray), 0.f, 1.f), rest = 1.f - facing;
+    float3 to = ray + out.normal * (2.f * facing);
+    out.mirrored = fmaxf(to.x * to.x * sides[to.x > 0.f] + (to.y > 0.f ? to.y * to.y * sides[2] : 0.f)
+                             + to.z * to.z * sides[3 + (to.z > 0.f)], 0.f);
+    out.share = FACING_SHARE + (GRAZING_SHARE - FACING_SHARE) * rest * rest * rest * rest * rest;
+}
 
 // What a ray sees of a triangle.
 __device__ Surface shade_hit(const Shade& f, int view, u32 word, const Ray& ray, float2 pixel) {
@@ -181,8 +211,9 @@ __device__ Surface shade_hit(const Shade& f, int view, u32 word, const Ray& ray,
         normal = corner[0] + (corner[1] - corner[0]) * b1 + (corner[2] - corner[0]) * b2;
         normal = normal * ((side < 0.f ? -1.f : 1.f) / sqrtf(fmaxf(dot(normal, normal), 1e-20f)));
     }
-    Surface out = {make_float3(0, 0, 0), normal};
+    Surface out = {make_float3(0, 0, 0), normal, 0.f, 0.f};
     if (!f.rgb) return out;
+    if (f.mirrors) gloss(f, v, b1, b2, ray.direction, out);
 
     float3 tint[3];
     for (int j = 0; j < 3; j++) {
@@ -246,6 +277,75 @@ __device__ __forceinline__ float light_left(const Shade& f, int local, int x, in
     return 1.f - f.strength * total / weights;
 }
 
+// The instance of a scene that a word shows.
+__device__ __forceinline__ int instance_of(const Shade& f, int world, u32 word) {
+    const World& s = f.world;
+    int item = s.scenes[s.scene_of_world[world]].first_item + (word >> 11);
+    int instance = s.places[item].instance;
+    if (instance >= 0) return instance;
+    return f.triangle_instances[(bits(s.items[item].center.w) + ((word >> 6) & 31)) * CLUSTER_TRIANGLES + (word & 63)];
+}
+
+// Words of a capsule and constants of its shadow, as in `blockers_simd.py`.
+struct Blocker {
+    float3 start, along, light;
+    float per_length2, along_light, per_across2, radius, radius2, width, reach, per_range4, group, share, length, per_radius;
+};
+#define BLOCKER_WORDS 21
+#define SPREAD 0.30f
+#define FADE_M 0.25f
+#define KEPT_M 0.1f
+#define DARKEST 0.22f
+#define THINNEST_M 0.01f
+
+// What a capsule takes of the light from everywhere.
+__device__ __forceinline__ float hidden_by(const Blocker& c, float3 from_start, float3 normal) {
+    float s = clamp(dot(from_start, c.along) * c.per_length2, 0.f, 1.f);
+    float3 to = c.along * s - from_start;
+    float distance2 = fmaxf(dot(to, to), c.radius2), window = fmaxf(1.f - distance2 * distance2 * c.per_range4, 0.f);
+    if (window == 0.f) return 0.f;
+    float per_distance = 1.f / sqrtf(distance2);
+    float covered = 0.5f * (fminf((c.length * s + c.radius) * per_distance, 1.f)
+                            + fminf((c.length * (1.f - s) + c.radius) * per_distance, 1.f));
+    float facing = fmaxf(dot(normal, to), 0.f) * per_distance;
+    return fminf(facing * (c.radius * per_distance) * covered * window * window, 1.f);
+}
+
+// What it takes of the light from one direction.
+__device__ __forceinline__ float shadow_of(const Blocker& c, float3 from_start) {
+    float beside = dot(from_start, c.along), ahead = dot(from_start, c.light);
+    float s = clamp((beside - ahead * c.along_light) * c.per_across2, 0.f, 1.f), away = s * c.along_light - ahead;
+    if (away <= 0.f || away >= c.reach + (KEPT_M + FADE_M)) return 0.f;
+    float3 to = c.along * s - from_start;
+    float off = sqrtf(fmaxf(dot(to, to) - away * away, 0.f)), disc = fmaxf(away * SPREAD, THINNEST_M);
+    if (off >= disc + c.radius) return 0.f;
+    float per_disc = 1.f / disc;
+    float step = clamp((disc + c.radius - off) * (fmaxf(per_disc, c.per_radius) * 0.5f), 0.f, 1.f);
+    float most = fminf(c.radius * per_disc * fminf(c.width * per_disc, 1.f), 1.f);
+    return most * (step * step * (3.f - 2.f * step)) * clamp(away * (c.per_radius * 2.f), 0.f, 1.f)
+        * clamp((c.reach + (KEPT_M + FADE_M) - away) * (1.f / FADE_M), 0.f, 1.f);
+}
+
+// How much light all capsules leave at a point; those of a group come one after another, and none darkens its own group.
+__device__ float unblocked(const Shade& f, int world, float3 point, float3 normal, float group) {
+    const Blocker* all = (const Blocker*)(f.blockers + (size_t)world * f.blocker_limit * BLOCKER_WORDS);
+    int count = f.blocker_counts[world];
+    float left = 1.f, directed = 1.f, ambient = 1.f;
+    for (int k = 0; k < count; k++) {
+        const Blocker& c = all[k];
+        if (c.group == group) continue;
+        float3 from_start = point - c.start;
+        ambient *= 1.f - hidden_by(c, from_start, normal);
+        directed *= 1.f - shadow_of(c, from_start);
+        if (k + 1 < count && all[k + 1].group == c.group) continue;
+        float share = c.share * fmaxf(dot(normal, c.light), 0.f);
+        share /= fmaxf(share + (1.f - c.share) * 0.25f, 1e-6f);
+        left *= 1.f - (1.f - DARKEST) * (share * (1.f - directed) + (1.f - share) * (1.f - ambient));
+        directed = ambient = 1.f;
+    }
+    return left;
+}
+
 __device__ __forceinline__ float inverse_or_zero(float z) { return z > 0.f ? 1.f / z : 0.f; }
 
 // Ids of what is seen; the pictures have the size of `words`.
@@ -286,13 +386,13 @@ extern "C" __global__ void __launch_bounds__(256, 3) shade(Shade f) {
     bool mixed = false;
     if (factor == 2)
         mixed = word != f.words[fine + 1] || word != f.words[fine + s.width] || word != f.words[fine + s.width + 1];
-    int level[3] = {0, 0, 0};
+    int world = s.world_of_view[view], level[3] = {0, 0, 0};
     for (int k = 0; k < (mixed ? 4 : 1); k++) {
         u32 at = fine + (k & 1) + (k >> 1) * s.width;
         float middle = mixed ? 0.5f : 0.5f * factor;
         Ray ray = ray_at(camera, s.scale, pixel_at_1, x * factor + (k & 1) + middle, y * factor + (k >> 1) + middle);
         u32 seen = f.words[at];
-        Surface surface = {make_float3(0, 0, 0), make_float3(0, 0, 0)};
+        Surface surface = {make_float3(0, 0, 0), make_float3(0, 0, 0), 0.f, 0.f};
         if (seen != NOTHING)
             surface = shade_hit(f, view, seen, ray, pixel_at_1);
         else if (f.rgb)
@@ -302,11 +402,23 @@ extern "C" __global__ void __launch_bounds__(256, 3) shade(Shade f) {
             out[0] = surface.normal.x, out[1] = surface.normal.y, out[2] = surface.normal.z;
         }
         if (!f.rgb) continue;
+        float unshadowed = 1.f;
+        if (f.receivers && seen != NOTHING) {
+            float4 own = f.receivers[(size_t)world * f.receiver_limit + instance_of(f, world, seen)];
+            surface.color = surface.color * make_float3(own.x, own.y, own.z);
+            if (f.blocker_counts[world]) {
+                float3 eye = make_float3(camera[3], camera[7], camera[11]);
+                unshadowed = unblocked(f, world, eye + ray.direction * f.depth[at], surface.normal, own.w);
+            }
+        }
         float left = f.strength > 0.f ? light_left(f, local, x, y, inverse_or_zero(f.depth[at])) : 1.f;
         float color[3] = {surface.color.x, surface.color.y, surface.color.z};
         for (int a = 0; a < 3; a++) {
             int own = (int)clamp(color[a] * levels_per_light, 0.f, TONE_SIZE - 1.f);
-            level[a] += (int)((mixed ? min(own, BRIGHTEST_SAMPLE) : own) * left);
+            if (surface.share > 0.f)
+                own = (int)clamp(own * (1.f - surface.share) + surface.mirrored * surface.share * levels_per_light, 0.f,
+                                 TONE_SIZE - 1.f);
+            level[a] += (int)((int)((mixed ? min(own, BRIGHTEST_SAMPLE) : own) * left) * unshadowed);
         }
     }
     if (f.rgb)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from h3data.render.gpu.layout import Occlude, Shade, World
 from h3data.render.gpu.packing import Packed
+from h3data.render.shade.blockers import Blockers
+from h3data.render.shade.blockers_simd import BLOCKER_WORDS
 from h3data.render.shade.occlusion import CONTRAST, RADIUS_M, SPREAD, TAP_OFFSETS
 from h3data.render.shade.occlusion_simd import TAPS
 from h3data.render.shade.shading import BYTE_OF_LINEAR, LINEAR_OF_BYTE, Light, light_table
@@ -48,14 +51,35 @@ class Shader:
             "byte_of_level": torch.from_numpy(BYTE_OF_LINEAR).to(device),
             "offsets": torch.from_numpy(offsets).to(device),
         }
+        self._blockers: dict[str, torch.Tensor] = {}
         self._shade = Shade()
         self._shade.fill(
             **{name: tensors[name] for name in _SCENE_TABLES},
             triangle_textures=tensors["triangle_textures"] if packed.textured else None,
+            mirrors=tensors["mirrors"] if len(packed.mirrors) else None,
             linear_of_byte=self._tables["linear_of_byte"],
             byte_of_level=self._tables["byte_of_level"],
             light=(ctypes.c_float * 27)(*light_table(light)),
         )
+
+    def set_blockers(self, blockers: Sequence[Blockers | None]) -> None:
+        """Sets what keeps light from surfaces, for every world."""
+        import torch
+
+        self._blockers = {}
+        if all(b is None for b in blockers):
+            self._shade.fill(blockers=None, blocker_counts=None, receivers=None)
+            return
+        counts = [0 if b is None else len(b.rows) for b in blockers]
+        rows = np.zeros((len(blockers), max(counts), BLOCKER_WORDS), np.float32)
+        receivers = np.zeros((len(blockers), max(len(b.tints) for b in blockers if b is not None), 4), np.float32)
+        receivers[:] = 1, 1, 1, -1
+        for world, own in enumerate(blockers):
+            if own is not None:
+                rows[world, : len(own.rows)], receivers[world, : len(own.tints)] = own.rows, own.tints
+        arrays = {"blockers": rows, "blocker_counts": np.array(counts, np.int32), "receivers": receivers}
+        self._blockers = {name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()}
+        self._shade.fill(**self._blockers, blocker_limit=rows.shape[1], receiver_limit=receivers.shape[1])
 
     def run(
         self, program: Any, world: World, depth: torch.Tensor, words: torch.Tensor, results: dict[str, torch.Tensor]

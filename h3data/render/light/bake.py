@@ -21,10 +21,12 @@ from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.progress import is_quiet
 from h3data.render.light import probes as pr
 from h3data.render.light.direct import EMITTER_WORDS, LAMP, LAMP_RADIUS, SUN, SUN_SPREAD, WINDOW
+from h3data.render.light.exposure import flat_light, shown_light
+from h3data.render.light.field import FACE_NORMALS, LightField, light_field, mirrored
 from h3data.render.light.outdoors import with_view
 from h3data.render.light.refine import Heap, hashes, heap_of, refine
 from h3data.render.light.sources import LightSources
-from h3data.render.light.store import cached
+from h3data.render.light.store import Baked, cached
 from h3data.render.light.voxels import PROBE_VOXELS, Voxels, voxelise
 from h3data.render.scene import RenderInstance
 from h3data.render.shade.shading import Light
@@ -36,12 +38,6 @@ HEADROOM = 2.4
 """How much brighter than under the flat light a white surface can be."""
 _SUN = (9.0, 8.2, 6.8)
 """Irradiance of the sun, in the units of `direct.SKY`."""
-_MEAN = 0.56
-"""Light on a surface of mean brightness, about that of the flat light."""
-_DARKEST, _EXPONENT, _SHOULDER, _BRIGHTEST = 0.22, 0.8, 1.05, 1.75
-"""Light of 0, exponent of the curve that maps light to what is shown, where it bends, and its limit, in units of `_MEAN`."""
-_TINT = 0.55
-"""Share of the light's own colour; eyes and cameras adapt to the rest."""
 _GLASS, _GLOW = 1.5, 1.8
 """Brightness of window panes and lamps, in units of the flat light."""
 _VIEW = 1.5
@@ -57,8 +53,15 @@ class LitScene:
     meshes: list[Mesh]
     instances: list[RenderInstance]
     light: Light
-    baked: bool
-    """False if there is no light to bake: everything is as it was."""
+    mirrors: dict[int, NDArray[np.float32]]
+    """What glossy meshes mirror, for `RenderScene`."""
+    field: LightField | None
+    """Light on what moves and its shadows (`Renderer.set_blockers`); None if there is no light to bake."""
+
+    @property
+    def baked(self) -> bool:
+        """Whether the meshes carry light; otherwise everything is as it was."""
+        return self.field is not None
 
 
 def lit_scene(
@@ -90,18 +93,21 @@ def lit_scene(
     baked = cached(own, matrices, names, sources, light, lambda: _announced(name, own, matrices, names, sources, light))
     if baked is None:
         log.warning("No light reaches %s, neither from outdoors nor from lamps: it is shown in flat light.", name)
-        return LitScene(list(meshes), list(instances), light, False)
+        return LitScene(list(meshes), list(instances), light, {}, None)
     out_meshes, out_instances = list(meshes), list(instances)
     floor_y = min(float(transform_points(m, mesh.bounds)[:, 1].min()) for m, mesh in zip(matrices, own, strict=True))
-    for k, mesh, matrix in zip(chosen, baked, matrices, strict=True):
+    mirrors: dict[int, NDArray[np.float32]] = {}
+    for k, mesh, matrix, seen in zip(chosen, baked.meshes, matrices, baked.mirrors, strict=True):
         if instances[k].name in sources.glass:
             mesh = with_view(mesh, matrix, floor_y=floor_y, shown=_VIEW / HEADROOM)
+        if seen is not None:
+            mirrors[len(out_meshes)] = seen
         out_instances[k] = replace(instances[k], mesh=len(out_meshes))
         out_meshes.append(mesh)
     used = {instance.mesh for instance in out_instances}
     for m in range(len(meshes)):
         out_meshes[m] = _dimmed(meshes[m]) if m in used else _EMPTY
-    return LitScene(out_meshes, out_instances, _brighter(light), True)
+    return LitScene(out_meshes, out_instances, _brighter(light), mirrors, baked.field)
 
 
 _EMPTY = Mesh(
@@ -125,7 +131,7 @@ def _announced(
     names: Sequence[str],
     sources: LightSources,
     light: Light,
-) -> list[Mesh] | None:
+) -> Baked | None:
     triangles = sum(len(mesh.faces) for mesh in meshes)
     if triangles > 100_000 and not is_quiet():
         log.warning("Computing the light of %s, once: about %d s.", name, 2 + triangles // 30_000)
@@ -138,19 +144,19 @@ def bake(
     names: Sequence[str],
     sources: LightSources,
     light: Light,
-) -> list[Mesh] | None:
-    """The meshes of static instances with their light, or None if there is none. See `lit_scene`."""
+) -> Baked | None:
+    """The meshes of static instances with their light, and the light between them; None if there is none."""
     heap = heap_of(meshes, matrices) if meshes else None
     if heap is None or not len(heap.faces):
         return None
     glass = np.array([n in sources.glass for n in names])
-    glow = np.array([n in sources.glowing for n in names])
+    glow, glossy = (np.array([n in group for n in names]) for group in (sources.glowing, sources.glossy))
     voxels = _voxels(heap, meshes, glass, glow, sources)
     emitters = _emitters(voxels, sources, light)
     measured = _indirect(voxels, emitters)
     if measured is None:
         return None
-    probes, mean = measured
+    probes, face_light, mean = measured
 
     def light_at(points: NDArray, normals: NDArray, inward: NDArray) -> NDArray[np.float32]:
         keys = np.column_stack([np.rint(points * 500), np.rint(normals * 20)]).astype(np.int64)
@@ -165,7 +171,8 @@ def bake(
 
     limit = 120_000 + 2 * len(heap.faces)
     refine(heap, light_at, mean=mean, lit=~glass & ~glow, max_faces=limit)
-    return _meshes(heap, meshes, glass, glow, light, mean)
+    field = light_field(voxels, face_light, probes, emitters, mean, flat_light(light, FACE_NORMALS).mean(0))
+    return Baked(*_meshes(heap, meshes, glass, glow, glossy, light, field), field)
 
 
 def _voxels(
@@ -219,8 +226,9 @@ def _indoor_side(voxels: Voxels, center: NDArray[np.float64], across: NDArray[np
     return None if covered[0] == covered[1] else 1 if covered[0] else -1
 
 
-def _indirect(voxels: Voxels, emitters: NDArray[np.float32]) -> tuple[pr.Probes, float] | None:
-    """Probes with all reflected light, and the mean light of surfaces; None if there is no light."""
+def _indirect(voxels: Voxels, emitters: NDArray[np.float32]) -> tuple[pr.Probes, NDArray[np.float32], float] | None:
+    """Probes with all reflected light, direct light of the faces of blocks [X', Y', Z', 6, 3], and the mean light of
+    surfaces; None if there is no light."""
     shape = tuple(n // PROBE_VOXELS for n in voxels.distance.shape)
     place, usable = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.bool_)
     pr.place_probes(voxels.distance, place, usable)
@@ -242,7 +250,7 @@ def _indirect(voxels: Voxels, emitters: NDArray[np.float32]) -> tuple[pr.Probes,
         return None
     weight = count[seen]
     mean = float(np.exp(np.sum(weight * np.log(np.maximum(total[seen], _DARK))) / weight.sum()))
-    return pr.Probes(reach, place, usable, field), mean
+    return pr.Probes(reach, place, usable, field), direct, mean
 
 
 def _reach(
@@ -288,24 +296,28 @@ def _direct(
 
 
 def _meshes(
-    heap: Heap, meshes: Sequence[Mesh], glass: NDArray[np.bool_], glow: NDArray[np.bool_], light: Light, mean: float
-) -> list[Mesh]:
-    """The meshes of a lit heap."""
-    flat = _flat_light(light, heap.world[:, 3:])
+    heap: Heap,
+    meshes: Sequence[Mesh],
+    glass: NDArray[np.bool_],
+    glow: NDArray[np.bool_],
+    glossy: NDArray[np.bool_],
+    light: Light,
+    field: LightField,
+) -> tuple[list[Mesh], list[NDArray[np.float32] | None]]:
+    """The meshes of a lit heap, and what they mirror."""
+    mean = field.mean
+    flat = flat_light(light, heap.world[:, 3:])
     irradiance = np.nan_to_num(heap.light, nan=0.3 * mean)
-    amount = irradiance.mean(1, keepdims=True)
-    tint = 1 + _TINT * (irradiance / np.maximum(amount, 1e-9) - 1)
-    curve = _DARKEST + (1 - _DARKEST) * (amount / mean) ** _EXPONENT
-    above, room = np.maximum(curve - _SHOULDER, 0), _BRIGHTEST - _SHOULDER
-    curve = np.minimum(curve, _SHOULDER) + room * (1 - np.exp(-above / room))
-    ratio = _MEAN * curve * tint / flat
+    ratio = shown_light(irradiance, mean) / flat
     order = np.argsort(heap.mesh, kind="stable")
     starts = np.searchsorted(heap.mesh[order], np.arange(len(meshes) + 1))
-    out = []
+    out: list[Mesh] = []
+    mirrors: list[NDArray[np.float32] | None] = []
     for number, mesh in enumerate(meshes):
         chosen = order[starts[number] : starts[number + 1]]
         used, faces = np.unique(heap.faces[chosen], return_inverse=True)
         rows = heap.vertices[used]
+        mirrors.append(mirrored(field, heap.world[used], irradiance[used]) if glossy[number] else None)
         shown = _GLASS if glass[number] else _GLOW if glow[number] else ratio[used]
         out.append(
             Mesh(
@@ -318,12 +330,4 @@ def _meshes(
                 face_textures=heap.textures[chosen] if mesh.textures else None,
             )
         )
-    return out
-
-
-def _flat_light(light: Light, normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What the flat light gives surfaces with world normals [V, 3], without the light from the camera, shape [V, 3]."""
-    sky, ground = np.array(light.sky), np.array(light.ground)
-    sun, fill = (normals @ normalized(np.array(d)) for d in (light.sun_direction, light.fill_direction))
-    out = (sky + ground) / 2 + (sky - ground) / 2 * normals[:, 1:2]
-    return out + np.maximum(sun, 0)[:, None] * light.sun + np.maximum(fill, 0)[:, None] * light.fill
+    return out, mirrors

@@ -57,6 +57,8 @@ class LightSources:
     """Instances that let the sun through and are drawn bright."""
     glowing: frozenset[str] = field(default_factory=frozenset)
     """Lamps: they cast no shadow and are drawn bright."""
+    glossy: frozenset[str] = field(default_factory=frozenset)
+    """Floors of varnished wood and glazed tile, which mirror a little."""
 
 
 def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
@@ -66,7 +68,7 @@ def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
     """
     if scene is None:
         return LightSources()
-    windows, lamps, glass, glowing = [], [], set(), set()
+    windows, lamps, glass, glowing, glossy = [], [], set(), set(), set()
     for instance in scene.static_instances:
         category = scene.assets[instance.asset].category
         if category == "window" and len(scene.assets[instance.asset].mesh.vertices):
@@ -79,6 +81,8 @@ def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
             share = 1.0 if category == "ceiling_lamp" else 0.35
             lamps.append(Lamp(position, LAMP_POWER * share * np.array(LAMP_COLOR)))
             glowing.add(instance.name)
+        elif category == "floor":
+            glossy.add(instance.name)
     file_lamps, suns = _named(scene.lights or (), file or scene.name)
     return LightSources(
         windows=tuple(windows),
@@ -86,6 +90,7 @@ def sources_of(scene: Scene | None, *, file: str = "") -> LightSources:
         suns=suns,
         glass=frozenset(glass),
         glowing=frozenset(glowing),
+        glossy=frozenset(glossy),
     )
 
 

@@ -12,6 +12,7 @@ import os
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +20,29 @@ from numpy.typing import NDArray
 from h3data.errors import SceneError
 from h3data.files import cache_folder, evict, part_file
 from h3data.mesh.mesh import Mesh
+from h3data.render.light.field import LightField
 from h3data.render.light.sources import LightSources
 from h3data.render.shade.shading import Light
 
 log = logging.getLogger(__name__)
 
-FORMAT = 3
+FORMAT = 4
 """Part of the key: raise it whenever the bake changes."""
 ROOM_BYTES = 2e9
 """The cache keeps the most recently used homes up to this size."""
+_FIELD = ("origin", "spacing_m", "cube", "reach_m", "mean", "flat")
 _ARRAYS = ("vertices", "faces", "colors", "normals", "uv", "face_textures")
+
+
+class Baked(NamedTuple):
+    """What is baked for a home."""
+
+    meshes: list[Mesh]
+    """The static meshes with their light."""
+    mirrors: list[NDArray[np.float32] | None]
+    """Light that the vertices of glossy meshes mirror (`RenderScene`), each [V, 5]; None for dull ones."""
+    field: LightField
+    """The light between them."""
 
 
 def cached(
@@ -37,9 +51,9 @@ def cached(
     names: Sequence[str],
     sources: LightSources,
     light: Light,
-    build: Callable[[], list[Mesh] | None],
-) -> list[Mesh] | None:
-    """The baked meshes from the cache, else from ``build``, kept if the cache can be written."""
+    build: Callable[[], Baked | None],
+) -> Baked | None:
+    """The baked light from the cache, else from ``build``, kept if the cache can be written."""
     folder = cache_folder("light")
     if folder is None:
         return build()
@@ -82,7 +96,7 @@ def _key(
                 )
             hashes[id(mesh)] = part.digest()
         digest.update(hashes[id(mesh)] + matrix.tobytes())
-        digest.update(f"{name in sources.glass} {name in sources.glowing}".encode())
+        digest.update(f"{name in sources.glass} {name in sources.glowing} {name in sources.glossy}".encode())
     for window in sources.windows:
         for array in (window.center, window.half_u, window.half_v, window.across):
             digest.update(array.tobytes())
@@ -93,10 +107,10 @@ def _key(
     return digest.hexdigest()
 
 
-def _save(path: Path, meshes: Sequence[Mesh]) -> None:
-    arrays: dict[str, NDArray] = {}
-    for name in _ARRAYS:
-        parts = [getattr(mesh, name) for mesh in meshes]
+def _save(path: Path, baked: Baked) -> None:
+    arrays: dict[str, NDArray] = {f"field.{name}": np.asarray(getattr(baked.field, name)) for name in _FIELD}
+    columns = {name: [getattr(mesh, name) for mesh in baked.meshes] for name in _ARRAYS}
+    for name, parts in {**columns, "mirrors": baked.mirrors}.items():
         arrays[f"{name}.count"] = np.array([-1 if p is None else len(p) for p in parts])
         present = [p for p in parts if p is not None]
         arrays[name] = np.concatenate(present) if present else np.zeros(0)
@@ -104,10 +118,10 @@ def _save(path: Path, meshes: Sequence[Mesh]) -> None:
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
-def _load(path: Path, originals: Sequence[Mesh]) -> list[Mesh]:
+def _load(path: Path, originals: Sequence[Mesh]) -> Baked:
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         columns: dict[str, list] = {}
-        for name in _ARRAYS:
+        for name in (*_ARRAYS, "mirrors"):
             counts, values = file[f"{name}.count"], file[name]
             if len(counts) != len(originals):
                 raise ValueError(f"{len(counts)} meshes, expected {len(originals)}")
@@ -115,8 +129,12 @@ def _load(path: Path, originals: Sequence[Mesh]) -> list[Mesh]:
             columns[name] = [
                 None if n < 0 else values[end - n : end] for n, end in zip(counts.tolist(), ends.tolist(), strict=True)
             ]
+        grid: dict[str, Any] = {name: file[f"field.{name}"] for name in _FIELD}
+        field = LightField(**grid | {name: float(grid[name]) for name in ("spacing_m", "mean")})
+    mirrors = columns.pop("mirrors")
     rows = zip(*columns.values(), strict=True)
-    return [
+    meshes = [
         Mesh(**dict(zip(columns, row, strict=True)), textures=mesh.textures)
         for row, mesh in zip(rows, originals, strict=True)
     ]
+    return Baked(meshes, mirrors, field)

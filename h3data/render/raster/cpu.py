@@ -16,6 +16,7 @@ from h3data.render.raster.clusters import enclosing_box, fill_packets, smooth_no
 from h3data.render.raster.raster import Placement, Target, View, new_target, rasterise, reach_of
 from h3data.render.raster.raster_read import read_depth, read_ids, read_parallel_depth, read_triangles
 from h3data.render.scene import RenderScene
+from h3data.render.shade.blockers import Blockers
 from h3data.render.shade.shading import Light, shade
 
 _KEPT_TARGETS = 4
@@ -49,6 +50,9 @@ class CpuEngine:
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
         self.worlds[world].set_vertices(mesh, vertices)
+
+    def set_blockers(self, world: int, blockers: Blockers | None) -> None:
+        self.worlds[world].blockers = blockers
 
     def poses(self, world: int) -> Poses:
         return self.worlds[world].poses()
@@ -139,7 +143,18 @@ class CpuEngine:
         light: Light | None = None,
     ) -> None:
         placement = Placement(self.scene.instance_mesh, world.matrix, world.visible)
-        shade(world.geometry, world.surface, placement, view, target, light or self.light, rgb, normal, samples)
+        shade(
+            world.geometry,
+            world.surface,
+            placement,
+            view,
+            target,
+            light or self.light,
+            rgb,
+            normal,
+            samples,
+            world.blockers,
+        )
 
 
 class World:
@@ -152,6 +167,7 @@ class World:
         self.vertices: dict[int, NDArray[np.float32]] = {}
         self.moved = np.isin(scene.instance_mesh, scene.deformable)
         """Instances that have ever moved or may deform, shape [I]."""
+        self.blockers: Blockers | None = None
         self.version = 0
         """Number of changes so far."""
         self.geometry = scene.geometry

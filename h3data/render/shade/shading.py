@@ -12,19 +12,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
-from h3data.render.raster.raster import FAR_PADDING, Geometry, Placement, Target, View
+from h3data.render.raster.raster import FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
+from h3data.render.shade.blockers import NO_BLOCKERS, TILE_X, TILE_Y, Blockers, block_pixels, owner_of, set_rays, tiled
+from h3data.render.shade.blockers_simd import RAY_WORDS, SCRATCH_ROWS
 from h3data.render.shade.borrowed import borrowed
 from h3data.render.shade.occlusion import Occlusion, dim_row, light_left, occlude, receded
 from h3data.render.shade.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
 from h3data.render.shade.shading_simd import (
     ATTRIBUTES,
     BLOCK_WORDS,
+    COLOR,
+    COLOR_1,
+    COLOR_2,
+    GLOSS,
     LEVEL,
     RAY,
     TONE_LIMIT,
     TONE_SIZE,
+    gloss_block,
     light_block,
     light_coordinates_block,
     sky_block,
@@ -63,6 +71,16 @@ class Light:
     """Rays towards the sun per pixel, for cast shadows with soft edges; 0 = no cast shadows. Needs the extra ``rays``."""
     sun_size_deg: float = 2.0
     """Angular diameter of the sun (0.5 in reality); larger values give softer shadow edges."""
+
+    def __post_init__(self) -> None:
+        colors = ("sky", "ground", "sun", "fill", "headlight", "horizon", "zenith")
+        faults = [
+            f"{name} = {getattr(self, name)}"
+            for name in (*colors, "sun_direction", "fill_direction", "occlusion")
+            if not np.isfinite(getattr(self, name)).all() or (name in colors and min(getattr(self, name)) < 0)
+        ]
+        if faults:
+            raise InputError(f"Light needs finite numbers and no negative power, got {', '.join(faults)}.")
 
 
 _SHOULDER = 0.75
@@ -105,14 +123,17 @@ def shade(
     rgb: NDArray[np.uint8] | None,
     normal: NDArray[np.float32] | None,
     samples: int,
+    blockers: Blockers | None = None,
 ) -> None:
     """Fills ``rgb`` [H, W, 3] and ``normal`` [H, W, 3], where given, from a rendered target.
 
+    ``blockers`` keep light from ``rgb``.
     With ``samples=4``, target and view have twice the size of ``rgb``, and pixels whose four samples see different
     triangles are averaged in linear light.
     """
     no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)
     strength = light.occlusion if rgb is not None else 0.0
+    cast = NO_BLOCKERS if rgb is None else tiled(blockers, view, target, factor=2 if samples == 4 else 1)
     if view.parallel and strength > 0:
         target = target._replace(inv_z=receded(view, target))
     occlusion = occlude(view, target, samples) if strength > 0 else _NO_OCCLUSION
@@ -127,6 +148,7 @@ def shade(
         (LINEAR_OF_BYTE, BYTE_OF_LINEAR),
         occlusion,
         np.float32(strength),
+        cast,
         no_rgb if rgb is None else rgb,
         no_normal if normal is None else normal,
         samples == 4,
@@ -135,10 +157,10 @@ def shade(
 
 @kernel(error_model="numpy", boundscheck=False)
 def _shade_image(
-    geometry, surface, matrices, view, target, cache, light, tables, occlusion, strength, rgb, normal, fine
+    geometry, surface, matrices, view, target, cache, light, tables, occlusion, strength, cast, rgb, normal, fine
 ):
     geometry, surface, target = borrowed(geometry), borrowed(surface), borrowed(target)
-    cache, occlusion = borrowed(cache), borrowed(occlusion)
+    cache, occlusion, cast = borrowed(cache), borrowed(occlusion), borrowed(cast)
     factor = 2 if fine else 1
     height, width = view.height // factor, view.width // factor
     cofactors = _normal_matrices(matrices)
@@ -150,14 +172,22 @@ def _shade_image(
     coordinates = np.zeros((3, width + 8), np.float32)
     row = np.zeros(width, np.int32)
     near = np.zeros(width + 8, np.float32)
+    owners, rays = np.zeros(width + 8, np.float32), np.zeros(RAY_WORDS, np.float32)
+    scratch = np.zeros((SCRATCH_ROWS, 8), np.float32)
+    near_at, owners_at = np.uintp(near.ctypes.data), np.uintp(owners.ctypes.data)
+    strip_at, sample_at = np.uintp(strip.ctypes.data), np.uintp(sample.ctypes.data)
+    strip_bytes, sample_bytes = np.uintp(strip.shape[1] * 4), np.uintp(sample.shape[1] * 4)
     words, axes = target.words, view.axes.copy()
     if view.parallel:  # all rays have the same direction
         axes[:, :2] = 0
     linear, byte_of_level = tables
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
     pixel = (factor / fx, factor / fy)
+    tiles_across = -(-width // TILE_X)
     for y in range(height):
         _row_words(words, y, fine, row)
+        tile_row = y // TILE_Y * tiles_across
+        blocked = len(cast.first) > 0 and cast.first[tile_row] < cast.first[tile_row + tiles_across]
         v = ((y + 0.5) * factor - cy) / fy
         x = 0
         while x < width:
@@ -173,12 +203,20 @@ def _shade_image(
                         slot = slot_of(word)
                         if triangles[slot] != word:
                             set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
+                            _tint(word, slot, cache, cast, target)
                         _light_run(slot, cache, texture_at, u1, v1, 0.0, 0, 1, axes, light, block, coordinates, sample)
                     else:
                         _sky_run(u1, v1, 0.0, 0, 1, axes, light, block, sample)
                     left = light_left(occlusion, strength, x, y, target.inv_z[sy, sx]) if strength > 0 else 1.0
                     for a in range(3):
-                        strip[a, x] += int(min(sample[a, 0], _BRIGHTEST_SAMPLE) * left)
+                        sample[a, 0] = int(min(sample[a, 0], _BRIGHTEST_SAMPLE) * left)
+                    tile = tile_row + x // TILE_X
+                    if blocked and word >= 0 and cast.first[tile] < cast.first[tile + 1]:
+                        near[0], owners[0] = cast.inv_z[sy, sx], owner_of(cast, target, word)
+                        set_rays(rays, view, axes, u1, v1, 0.0)
+                        block_pixels(cast, tile, rays, near_at, owners_at, owners[0], sample_at, sample_bytes, scratch)
+                    for a in range(3):
+                        strip[a, x] += sample[a, 0]
                 for a in range(3):
                     strip[a, x] >>= 2
             else:
@@ -189,6 +227,7 @@ def _shade_image(
                     slot = slot_of(word)
                     if triangles[slot] != word:
                         set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
+                        _tint(word, slot, cache, cast, target)
                     _light_run(slot, cache, texture_at, u, v, step, x, end, axes, light, block, coordinates, strip)
                 else:
                     _sky_run(u, v, step, x, end, axes, light, block, strip)
@@ -197,6 +236,24 @@ def _shade_image(
             for x in range(width):
                 near[x] = target.inv_z[y * factor, x * factor] if row[x] != _MIXED else FAR_PADDING
             dim_row(occlusion, strength, y, near, strip)
+        if blocked:
+            for k in range(tiles_across):
+                tile = tile_row + k
+                if cast.first[tile] == cast.first[tile + 1]:
+                    continue
+                begin = k * TILE_X
+                for x in range(begin, min(begin + TILE_X, width)):
+                    whole = row[x] >= 0
+                    near[x] = cast.inv_z[y * factor, x * factor] if whole else 0.0
+                    owners[x] = owner_of(cast, target, row[x]) if whole else -1.0
+                for x in range(begin, min(begin + TILE_X, width), 8):
+                    at, only = np.uintp(x * 4), owners[x]
+                    for lane in range(1, 8):
+                        only = only if owners[x + lane] == owners[x] else np.float32(-1)
+                    set_rays(rays, view, axes, ((x + 0.5) * factor - cx) / fx, v, pixel[0])
+                    block_pixels(
+                        cast, tile, rays, near_at + at, owners_at + at, only, strip_at + at, strip_bytes, scratch
+                    )
         if rgb.size:
             for x in range(width):
                 for a in range(3):
@@ -236,6 +293,17 @@ def _normal_matrices(matrices):
     return out
 
 
+@kernel_part(forceinline=True)
+def _tint(word, slot, cache, cast, target):
+    """Multiplies the colours of a cached triangle by its instance's tint."""
+    if cast.tints.size:
+        instance = target.draws[word >> 7, INSTANCE]
+        attributes = cache.attributes[slot]
+        for a in range(3):
+            for corner in (COLOR, COLOR_1, COLOR_2):
+                attributes[corner + a] *= cast.tints[instance, a]
+
+
 # --- runs of pixels -------------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
 def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, block, coordinates, strip):
@@ -269,6 +337,13 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, blo
             base = np.int32(detail + np.float32(ONE_LEVEL))
             blended = np.int32(detail - base > np.float32(ONE_LEVEL - 0.1))  # margin for the other pixels
             texture_block(at, row_bytes, uv_at, coordinates_bytes, base, blended, levels_at, words_at)
+    if attributes[slot, GLOSS] > 0:
+        for x in range(begin, end, 8):
+            first = u + step * (x - begin)
+            for k in range(3):
+                block[2 * k] = planes[slot, k, 0] * first + planes[slot, k, 1] * v + planes[slot, k, 2]
+                block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]
+            gloss_block(block_at, attributes_at, strip_at + np.uintp(x * 4), row_bytes)
 
 
 @kernel_part(forceinline=True)

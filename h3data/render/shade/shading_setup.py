@@ -14,7 +14,10 @@ from h3data.render.shade.shading_simd import (
     COLOR,
     COLOR_1,
     COLOR_2,
+    GLOSS,
     LAST_LEVEL,
+    MIRROR,
+    MIRROR_SIDES,
     NEARNESS_STEP,
     NORMAL,
     NORMAL_1,
@@ -79,6 +82,7 @@ def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear
     planes, attributes = cache.planes[slot], cache.attributes[slot]
     _set_up_planes(soup, packet, lane, target.camera_from_mesh[instance], view, planes, attributes)
     _set_up_attributes(surface, face, cofactors[instance], linear, attributes)
+    _set_up_mirror(surface, face, attributes)
     texture = surface.face_textures[face]
     cache.levels[slot] = NO_TEXTURE
     if texture >= 0:
@@ -165,6 +169,23 @@ def _world_normal(normals, vertex, cofactor):
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
     scale = 1 / length if length > 0 else 0.0
     return nx * scale, ny * scale, nz * scale
+
+
+@kernel_part(forceinline=True)
+def _set_up_mirror(surface, face, attributes):
+    """Fills the light that a glossy face mirrors, or marks that it is not glossy."""
+    faces, mirrors = surface.faces, surface.mirrors
+    attributes[GLOSS] = 0
+    if not len(mirrors):
+        return
+    i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
+    for a in range(MIRROR_SIDES):
+        first = mirrors[i, a]
+        attributes[MIRROR + a] = first
+        attributes[MIRROR + MIRROR_SIDES + a] = mirrors[j, a] - first
+        attributes[MIRROR + 2 * MIRROR_SIDES + a] = mirrors[k, a] - first
+        if first > 0 or mirrors[j, a] > 0 or mirrors[k, a] > 0:
+            attributes[GLOSS] = 1
 
 
 @kernel_part(forceinline=True)

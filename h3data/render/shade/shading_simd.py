@@ -6,7 +6,7 @@ from typing import Any
 
 from numba import types
 
-from h3data.render.raster.vectors import FLOAT, INT8, INT64, Vec, fma, intrinsic, lanes, load, splat, store
+from h3data.render.raster.vectors import FLOAT, FLOAT8, INT8, INT64, Vec, fma, intrinsic, lanes, load, splat, store
 from h3data.render.shade.textures_simd import level_of_detail, texel
 
 TONE_SIZE = 8192
@@ -18,13 +18,19 @@ COLOR, COLOR_1, COLOR_2, NORMAL, NORMAL_1, NORMAL_2 = 0, 3, 6, 9, 12, 15
 # Texture coordinates likewise [repeats]; size of the finest level [texels]; increments per pixel, along x and along y, of 1/z
 # and of the coordinates' differences from vertex 0 over z (with the planes' common factor); number of the coarsest level.
 UV, UV_1, UV_2, TEXELS, NEARNESS_STEP, UV_STEP_X, UV_STEP_Y, LAST_LEVEL = 18, 20, 22, 24, 26, 28, 30, 32
-ATTRIBUTES = 33
+# Light that a glossy surface mirrors from -x, +x, +y, -z and +z, likewise; and whether it is glossy.
+MIRROR, GLOSS = 33, 48
+MIRROR_SIDES = 5
+ATTRIBUTES = 49
 # Float32 words of the light: mean of sky and ground, half their difference, sun, fill, headlight, two directions, and the
 # colours of the background.
 MEAN, UP, SUN, FILL, HEADLIGHT, SUN_DIRECTION, FILL_DIRECTION, HORIZON, ZENITH = 0, 3, 6, 9, 12, 15, 18, 21, 24
 # Float32 words of a block's rays and planes: value at its first pixel, then the increment per pixel.
 NEARNESS, SECOND, THIRD, RAY = 0, 2, 4, 6
 BLOCK_WORDS = 12
+FACING_SHARE, GRAZING_SHARE = 0.04, 0.5
+"""Shares of light that a glossy floor reflects at right angles, as all varnish and glaze do, and at grazing angles: 1 less
+the roughness, 0.5 (Lagarde 2011, "Adopting a physically based shading model")."""
 # Rows that `light_coordinates_block` outputs: texture coordinates [repeats] and level of detail.
 S, T, LEVEL = 0, 1, 2
 
@@ -167,6 +173,51 @@ def texture_block(
 
     p, i = types.uintp, types.int32
     return types.void(p, p, p, p, i, i, p, p), codegen
+
+
+@intrinsic
+def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
+    """Mixes mirrored light into the levels of 8 pixels, strip as in `light_block`: a hint, without tracing.
+
+    The share is Schlick's ("An Inexpensive BRDF Model", 1994); the light is that of an ambient cube in the mirrored
+    direction (McTaggart 2004, "Half-Life 2 Source Shading").
+    """
+
+    def codegen(context, b, signature, arguments):
+        block_at, attributes_at, strip_at, row_bytes = arguments
+        z = _linear(b, block_at, NEARNESS).reciprocal()
+        second = (_linear(b, block_at, SECOND) * z).maximum(0.0).minimum(1.0)
+        third = (_linear(b, block_at, THIRD) * z).maximum(0.0).minimum(1.0)
+        from_west, from_east, above, from_north, from_south = _mix(
+            b, attributes_at, MIRROR, second, third, MIRROR_SIDES
+        )
+        at, normal = b.add(strip_at, b.mul(row_bytes, INT64(3))), []
+        for _ in range(3):
+            normal.append(Vec(b, load(b, at)))
+            at = b.add(at, row_bytes)
+        ray = [_linear(b, block_at, RAY + 2 * a) for a in range(3)]
+        scale = _dot(ray, ray).unary("sqrt").reciprocal()
+        ray = [r * scale for r in ray]
+        facing = (-_dot(normal, ray)).maximum(0.0).minimum(1.0)
+        x, y, side = (fma(facing * 2.0, n, r) for n, r in zip(normal, ray, strict=True))
+        zero = x * 0.0
+        sideways = Vec(b, b.select(x.compare(">", 0.0).value, from_east.value, from_west.value))
+        forward = Vec(b, b.select(side.compare(">", 0.0).value, from_south.value, from_north.value))
+        upward = Vec(b, b.select(y.compare(">", 0.0).value, above.value, zero.value))
+        mirrored = fma(x * x, sideways, fma(y * y, upward, side * side * forward)).maximum(0.0)
+        rest = -(facing - 1.0)
+        fourth = rest * rest * rest * rest
+        share = fourth * rest * (GRAZING_SHARE - FACING_SHARE) + FACING_SHARE
+        added, kept = mirrored * share * (TONE_SIZE / TONE_LIMIT), -(share - 1.0)
+        for _ in range(3):
+            level = Vec(b, b.sitofp(load(b, strip_at, 0, INT8), FLOAT8))
+            level = fma(level, kept, added).maximum(0.0).minimum(TONE_SIZE - 1.0)
+            store(b, b.fptosi(level.value, INT8), strip_at)
+            strip_at = b.add(strip_at, row_bytes)
+        return context.get_dummy_value()
+
+    p = types.uintp
+    return types.void(p, p, p, p), codegen
 
 
 @intrinsic

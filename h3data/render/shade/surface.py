@@ -25,5 +25,7 @@ class Surface(NamedTuple):
     """Texture coordinates [repeats], shape [V, 2]; [0, 2] if no mesh has textures."""
     face_textures: NDArray[np.int32]
     """Index into ``textures``, -1 = none, shape [F]."""
+    mirrors: NDArray[np.float32]
+    """Light that glossy surfaces mirror from -x, +x, +y, -z and +z, 0 = dull, shape [V, 5]; [0, 5] if none is glossy."""
     textures: Textures
     """The distinct textures of all meshes."""

@@ -136,11 +136,19 @@ def _pictures() -> None:
 
 def _light() -> None:
     from h3data.mesh.primitives import box_mesh
-    from h3data.render import RenderInstance
+    from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
     from h3data.render.light.bake import lit_scene
     from h3data.render.light.sources import LightSources
+    from h3data.render.shade.blockers import Blockers, blocker_rows
 
-    lit_scene([box_mesh((1, 1, 1))], [RenderInstance(0, np.eye(4))], [0], LightSources())
+    box = box_mesh((1, 1, 1))
+    lit_scene([box], [RenderInstance(0, np.eye(4))], [0], LightSources())
+    up, ball = np.array([[0.0, 1, 0]]), np.array([[0.0, 1.2, 0, 0, 1.2, 0, 0.2]])
+    rows = blocker_rows(ball, np.zeros(1, np.int64), up, np.ones(1), np.ones(1))
+    renderer = Renderer(RenderScene([box], [RenderInstance(0, np.eye(4))]))
+    renderer.set_blockers(Blockers(rows, np.array([[1, 1, 1, -1]], np.float32)))
+    above = look_at(np.array([0.0, 3.0, 0.1]), np.zeros(3))
+    renderer.render(pinhole(16, 16, hfov_deg=60, pose=above), outputs=("rgb",))
 
 
 def _people() -> None:

@@ -21,6 +21,7 @@ from h3data.render.gpu.packing import pack_scenes
 from h3data.render.gpu.views import choose_variant
 from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import Lamp, LightSources
+from h3data.render.shade.blockers import Blockers, blocker_rows
 from h3data.render.sheets.scene_map import render_scene
 from h3data.scene.homes import HomeSpec, build_home
 from tests.render.gpu_emulator import COMPILER, EmulatedRenderer
@@ -251,6 +252,49 @@ def test_baked_light_looks_as_on_the_cpu(make, monkeypatch):
     got = {name: t[0].cpu().numpy() for name, t in gpu.render([camera], outputs=OUTPUTS).items()}
     assert_alike(got, cpu.render(camera, outputs=OUTPUTS))
     assert np.ptp(got["rgb"].astype(int)) > 60  # light and shade
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_glossy_floors_look_as_on_the_cpu(make, samples):
+    meshes = [textured(room(), 1), ball()]
+    instances = [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.5, 0))]
+    mirrors = np.random.default_rng(0).uniform(0, 1.5, (len(meshes[0].vertices), 5)).astype(np.float32)
+    dull, glossy = RenderScene(meshes, instances), RenderScene(meshes, instances, mirrors={0: mirrors})
+    got = compare(make, GpuScene(glossy, moving=[1]), ROOM_VIEWS, samples=samples)
+    plain = compare(make, GpuScene(dull, moving=[1]), ROOM_VIEWS, samples=samples)
+    assert (got["rgb"] != plain["rgb"]).any(-1).mean() > 0.3
+    for name in ("depth", "instance", "normal"):
+        np.testing.assert_array_equal(got[name], plain[name])
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_soft_shadows_and_tints_look_as_on_the_cpu(make, samples):
+    rng = np.random.default_rng(5)
+    scene = RenderScene(
+        [room(), textured(ball(), 1)], [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.5, 0))]
+    )
+    start = rng.uniform([-1.5, 0.1, -1.5], [1.5, 1.2, 1.5], (20, 3))
+    capsules = np.column_stack([start, start + rng.normal(0, 0.3, (20, 3)), rng.uniform(0.05, 0.2, 20)])
+    group = np.arange(20) // 7
+    light = np.array([[0.3, 0.9, 0.3], [-0.6, 0.7, 0.4], [0.0, 1.0, 0.0]])[group]
+    light /= np.linalg.norm(light, axis=1, keepdims=True)
+    rows = blocker_rows(capsules, group, light, np.array([0.6, 0.3, 0.0])[group], np.full(20, 2.0))
+    tints = np.array([[1, 1, 1, -1], [1.2, 0.8, 0.5, 1]], np.float32)
+    gpu = make(GpuScene(scene, moving=[1]), width=WIDTH, height=HEIGHT, worlds=2)
+    cpu = Renderer(scene)
+    cameras = [ROOM_VIEWS[0]] * 2
+    plain = gpu.render(cameras, outputs=["rgb"], samples=samples)["rgb"].cpu().numpy()
+    gpu.update_blockers([None, Blockers(rows, tints)])
+    got = {name: t.cpu().numpy() for name, t in gpu.render(cameras, outputs=OUTPUTS, samples=samples).items()}
+    np.testing.assert_array_equal(got["rgb"][0], plain[0])  # of a world without blockers nothing changes
+    assert (got["rgb"][1] != plain[1]).any(-1).mean() > 0.2
+    cpu.set_blockers(Blockers(rows, tints))
+    want = cpu.render(cameras[1], outputs=OUTPUTS, samples=samples)
+    assert_alike({name: t[1] for name, t in got.items()}, want)
+    gpu.update_blockers([None, None])
+    np.testing.assert_array_equal(gpu.render(cameras, outputs=["rgb"], samples=samples)["rgb"].cpu().numpy(), plain)
+    with pytest.raises(InputError, match="2 worlds"):
+        gpu.update_blockers([None])
 
 
 def test_textures_and_smooth_edges(make):

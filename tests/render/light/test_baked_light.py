@@ -87,7 +87,7 @@ def test_a_lamp_lights_its_room_and_not_the_one_behind_the_wall() -> None:
     assert wall_base < 1.2 * behind  # no light leaks under the wall
 
 
-def test_moving_things_keep_the_flat_light() -> None:
+def test_moving_things_keep_the_flat_light_unless_the_field_tints_them() -> None:
     meshes, instances = _two_rooms()
     thing = RenderInstance(
         mesh=len(meshes), matrix=np.eye(4) + np.pad([[4.5], [1.0], [1.5]], ((0, 1), (3, 0))), name="cup"
@@ -98,6 +98,12 @@ def test_moving_things_keep_the_flat_light() -> None:
     plain = Renderer(RenderScene(meshes, instances)).render(camera, outputs=("rgb",))["rgb"][32, 32]
     baked = Renderer(RenderScene(lit.meshes, lit.instances), light=lit.light).render(camera, outputs=("rgb",))
     assert np.abs(plain.astype(int) - baked["rgb"][32, 32]).max() <= 3
+    assert lit.field is not None
+    renderer, members = Renderer(RenderScene(lit.meshes, lit.instances), light=lit.light), np.array([-1] * 7 + [0])
+    capsule = np.array([[4.5, 1.0, 1.4, 4.5, 1.0, 1.6, 0.2]])
+    renderer.set_blockers(lit.field.blockers(capsule, np.zeros(1, int), members=members))
+    dark = renderer.render(camera, outputs=("rgb",))["rgb"][32, 32]
+    assert dark.mean() < 0.8 * plain.mean()  # behind the wall, where no lamp is
 
 
 def test_surfaces_ids_and_depth_stay() -> None:
@@ -117,6 +123,8 @@ def test_without_light_a_scene_is_flat_and_says_so(caplog: pytest.LogCaptureFixt
     with caplog.at_level(logging.WARNING):
         lit = lit_scene(meshes, instances, range(7), LightSources(), name="the cellar")
     assert not lit.baked
+    assert lit.field is None
+    assert lit.mirrors == {}
     assert lit.meshes == meshes
     (message,) = [r.message for r in caplog.records]
     assert "No light reaches the cellar" in message
@@ -132,6 +140,12 @@ def test_one_open_mesh_is_lit_from_outdoors() -> None:
         camera = pinhole(32, 32, hfov_deg=40, pose=look_at(np.array([2.0, 3.0, 2.1]), np.array([2.0, 0.0, 2.0])))
         picture = Renderer(RenderScene(lit.meshes, lit.instances), light=lit.light).render(camera, outputs=("rgb",))
         assert picture["rgb"][8:24, 8:24].min() > 60
+        assert lit.field is not None
+        renderer = Renderer(RenderScene(lit.meshes, lit.instances), light=lit.light)
+        ball = np.array([[2.0, 0.2, 2.0, 2.0, 0.2, 2.0, 0.2]])
+        renderer.set_blockers(lit.field.blockers(ball, np.zeros(1, int), members=np.full(1, -1)))
+        shadowed = renderer.render(camera, outputs=("rgb",))["rgb"]
+        assert shadowed[16, 16].mean() < 0.8 * picture["rgb"][16, 16].mean()
 
 
 @pytest.mark.parametrize(
@@ -203,6 +217,10 @@ def test_the_light_is_cached_and_a_broken_file_is_replaced(
     for one, other in zip(first.meshes, again.meshes, strict=True):
         np.testing.assert_array_equal(one.colors, other.colors)
         np.testing.assert_array_equal(one.faces, other.faces)
+    assert first.field is not None
+    assert again.field is not None
+    for name, value in vars(first.field).items():
+        np.testing.assert_array_equal(getattr(again.field, name), value)
     monkeypatch.undo()
     monkeypatch.setenv("H3DATA_CACHE", str(tmp_path))
     file.write_bytes(written[:1000])

@@ -22,6 +22,7 @@ from h3data.render import (
     instance_to_rgb,
     look_at,
     normalize_depth,
+    orthographic,
     pinhole,
 )
 from h3data.render.shade.borrowed import borrowed
@@ -143,6 +144,14 @@ def test_the_sun_lights_what_faces_it():
     assert lit > shaded + 20
 
 
+@pytest.mark.parametrize(
+    "fault", [{"sun": (0.1, float("nan"), 0)}, {"sky": (-0.1, 1, 1)}, {"sun_direction": (0, float("inf"), 0)}]
+)
+def test_a_light_that_is_not_finite_or_negative_is_refused(fault):
+    with pytest.raises(InputError, match=next(iter(fault))):
+        Light(**fault)
+
+
 def test_four_samples_average_edges_only():
     # a vertical edge through the middle of a pixel column: half sky, half wall
     black = dataclasses.replace(WHITE_ROOM, horizon=(0, 0, 0), zenith=(0, 0, 0), sky=(1, 1, 1), ground=(1, 1, 1))
@@ -203,3 +212,54 @@ def test_instance_colours_are_stable_and_distinct():
     assert rgb[0].max() < 30
     with pytest.raises(InputError, match="integers"):
         instance_to_rgb(np.zeros(3))
+
+
+# --- glossy surfaces ------------------------------------------------------------------------------------------------
+def _glossy_floor(camera: Camera, mirror: NDArray, *, samples=1) -> dict[str, NDArray]:
+    floor = Mesh(
+        vertices=np.float32([[-9, 0, -9], [-9, 0, 9], [9, 0, 9], [9, 0, -9]]),
+        faces=np.int32([[0, 1, 2], [0, 2, 3]]),
+        colors=np.full((4, 3), 120, np.uint8),
+    )
+    scene = RenderScene(
+        [floor], [RenderInstance(0, np.eye(4))], mirrors={0: np.tile(mirror.astype(np.float32), (4, 1))}
+    )
+    light = dataclasses.replace(WHITE_ROOM, occlusion=0.0)
+    return Renderer(scene, light=light).render(camera, outputs=("rgb", "depth"), samples=samples)
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("kind", ["perspective", "orthographic"])
+def test_a_glossy_floor_mirrors_by_schlick_what_lies_in_the_mirrored_direction(kind, samples):
+    mirror = np.array([0.2, 0.9, 0.5, 0.3, 0.7])
+    pose = look_at([0, 1.5, 0], [1.2, 0.5, 0.9])
+    camera = (
+        pinhole(48, 36, hfov_deg=60, pose=pose) if kind == "perspective" else orthographic(48, 36, width_m=3, pose=pose)
+    )
+    picture = _glossy_floor(camera, mirror, samples=samples)
+    _, rays = camera.rays()
+    rays = np.broadcast_to(rays, (36, 48, 3)) @ pose[:3, :3].T
+    rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    facing = -rays[..., 1]
+    to = rays + 2 * facing[..., None] * [0, 1, 0]
+    x, z = (np.where(to[..., a] > 0, mirror[1 + k], mirror[k]) for a, k in ((0, 0), (2, 3)))
+    mirrored = to[..., 0] ** 2 * x + to[..., 1] ** 2 * mirror[2] + to[..., 2] ** 2 * z
+    share = 0.04 + 0.46 * (1 - facing) ** 5
+    color = 0.5 * srgb_to_linear(np.array(120 / 255)) * (1 - share) + share * mirrored
+    hit = picture["depth"] > 0
+    hit[:2] = False  # the floor's edge
+    assert hit.mean() > 0.5
+    np.testing.assert_allclose(picture["rgb"][hit][:, 0], (255 * linear_to_srgb(tone_map(color)))[hit], atol=1.5)
+
+
+def test_a_floor_that_mirrors_nothing_is_dull():
+    camera = pinhole(48, 36, hfov_deg=60, pose=look_at([0, 1.5, 0], [1.2, 0.5, 0.9]))
+    picture = _glossy_floor(camera, np.zeros(5))["rgb"][-5:]
+    np.testing.assert_allclose(picture, 255 * linear_to_srgb(0.5 * srgb_to_linear(np.array(120 / 255))), atol=1)
+
+
+def test_mirrors_of_the_wrong_shape_are_named():
+    floor = triangle([[-1, 0, 0], [1, 0, 0], [0, 0, 1]], [[99, 99, 99]] * 3)
+    for mirror in (np.zeros((2, 5)), np.full((3, 5), np.nan)):
+        with pytest.raises(InputError, match="mirrors of mesh 0"):
+            RenderScene([floor], [RenderInstance(0, np.eye(4))], mirrors={0: mirror.astype(np.float32)})

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import pose_inverse, pose_to_matrix, transform_points
 from h3data.mesh.mesh import Mesh, Texture
-from h3data.recording.records import Recording
+from h3data.recording.records import Agent, Recording
 from h3data_viewers.rerun.mesh_budget import ViewMesh, baked_colors, texture_bytes, thin_mesh, view_mesh, view_texture
 from h3data_viewers.rerun.sink import Sink
 from h3data_viewers.rerun.transforms import LoggedTrack, decompose, step_blocks
@@ -27,7 +27,12 @@ TEXTURE_SIDE_PX = 512
 SKIN_BYTES = 16_000_000
 """Budget of all skinned bodies; above it, they are sampled less often."""
 SKIN_VERTICES = 3_500
-AGENT_COLORS = {"robot": (255, 202, 40), "human": (66, 165, 245)}
+AGENT_COLORS = {
+    "robot": ((255, 202, 40), (239, 83, 80), (255, 138, 101), (212, 225, 87)),
+    "human": ((66, 165, 245), (171, 71, 188), (38, 166, 154), (121, 134, 203)),
+}
+"""Colours of the name tag, path and marks of the agents of each kind, in their order: warm for robots, cold for people."""
+PATH_RADIUS_M, MARK_M = 0.025, 0.09
 
 
 class Drawable(Protocol):
@@ -72,12 +77,11 @@ def entity_part(name: str) -> str:
 
 
 def log_agents(sink: Sink, recording: Recording, with_meshes: set[int]) -> None:
-    """Logs root frames, name tags and trajectories of all agents, and simple solids for agents without meshes."""
+    """Logs root frames, name tags, and trajectories with marks at both ends; and solids for agents without meshes."""
     import rerun as rr
 
-    for i, agent in enumerate(recording.agents):
+    for i, (agent, color) in enumerate(zip(recording.agents, agent_colors(recording.agents), strict=True)):
         pose = recording.agent_column(i, "base_pose")
-        color = AGENT_COLORS[agent.kind]
         root = f"world/{entity_part(agent.name)}"
         track = LoggedTrack(sink, root)
         for steps in step_blocks(len(recording)):
@@ -89,8 +93,31 @@ def log_agents(sink: Sink, recording: Recording, with_meshes: set[int]) -> None:
             sink.static(f"{root}/solid", _solid(agent.kind, color))
         strips = _strips(pose[:, :3] + np.array([0, 0.03, 0], np.float32))
         if strips:
-            lines = rr.LineStrips3D(strips, colors=[color] * len(strips), radii=[0.015])
-            sink.static(f"world/trajectories/{entity_part(agent.name)}", lines)
+            lines = rr.LineStrips3D(strips, colors=[color] * len(strips), radii=[PATH_RADIUS_M])
+            entity = f"world/trajectories/{entity_part(agent.name)}"
+            sink.static(entity, lines)
+            start, end = strips[0][0], strips[-1][-1]
+            ball = rr.Points3D([start], radii=[MARK_M], colors=[color], labels=[f"{agent.name} starts"])
+            sink.static(f"{entity}/start", ball)
+            cube = rr.Boxes3D(
+                centers=[end],
+                half_sizes=[[MARK_M] * 3],
+                colors=[color],
+                labels=[f"{agent.name} ends"],
+                fill_mode="solid",
+            )
+            sink.static(f"{entity}/end", cube)
+
+
+def agent_colors(agents: Sequence[Agent]) -> list[tuple[int, int, int]]:
+    """A colour for every agent; those of one kind differ, up to four of them."""
+    before = dict.fromkeys(AGENT_COLORS, 0)
+    out = []
+    for agent in agents:
+        family = AGENT_COLORS[agent.kind]
+        out.append(family[before[agent.kind] % len(family)])
+        before[agent.kind] += 1
+    return out
 
 
 def _solid(kind: str, color: tuple[int, int, int]) -> Any:

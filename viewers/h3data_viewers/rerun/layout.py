@@ -38,24 +38,39 @@ class LoggedRecording:
     """Root of people's raw input; empty if none was recorded."""
 
 
+THIRD_PERSON = "third_person"
+"""Camera whose pictures get a row of their own above all others."""
+LARGE_SHARE, LANE_SHARE = 3.0, 0.34
+"""Heights of that row and of a lane, in units of that of the distances."""
+
+
+def camera_name(entity: str) -> str:
+    """Name of a camera from the path of its entity."""
+    return entity.rsplit("/", 1)[-1]
+
+
 def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Blueprint:
     """Arranges views of the logged recordings, which share plots, lanes and log; rows without content are omitted.
 
-    A single home stands to the left of the other views, several stand side by side above them.
+    A single home stands to the left of the other views, several stand side by side above them. Pictures in third person
+    are the largest.
     """
     import rerun.blueprint as rrb
 
     homes = [_home_view(recording) for recording in recordings]
     rows: list[rrb.View | rrb.Container] = []
     shares: list[float] = []
-    views = [
-        rrb.Spatial2DView(origin=entity, name=f"{recording.label} {entity.rsplit('/', 1)[-1]}".lstrip())
-        for recording in recordings
-        for entity in recording.cameras
-    ]
-    if views:
-        rows.append(views[0] if len(views) == 1 else rrb.Grid(*views, grid_columns=min(len(views), 3)))
-        shares.append(1.3 if len(views) <= 3 else 2.0)
+    pictures = [(recording, entity) for recording in recordings for entity in recording.cameras]
+    large = [picture for picture in pictures if camera_name(picture[1]) == THIRD_PERSON]
+    small = [picture for picture in pictures if picture not in large]
+    for group, share in ((large, LARGE_SHARE), (small, 1.3 if len(small) <= 3 else 2.0)):
+        views = [
+            rrb.Spatial2DView(origin=entity, name=f"{recording.label} {camera_name(entity)}".lstrip())
+            for recording, entity in group
+        ]
+        if views:
+            rows.append(views[0] if len(views) == 1 else rrb.Grid(*views, grid_columns=min(len(views), 3)))
+            shares.append(share)
     plotted = [entity for recording in recordings for entity in recording.plotted]
     if plotted:
         rows.append(
@@ -70,7 +85,7 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
     lanes = [entity for recording in recordings for entity in recording.lanes]
     if lanes:
         rows.append(rrb.StateTimelineView(origin="/", contents=lanes, name="Actions"))
-        shares.append(0.35 + 0.22 * len(lanes))
+        shares.append(0.35 + LANE_SHARE * len(lanes))
     latency = [entity for recording in recordings for entity in recording.latency]
     if latency:
         rows.append(rrb.TimeSeriesView(origin="/", contents=latency, name="Round trip [ms]"))
@@ -83,7 +98,9 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
     if not rows:
         root = homes[0] if len(homes) == 1 else rrb.Horizontal(*homes)
     elif len(homes) == 1:
-        root = rrb.Horizontal(homes[0], rrb.Vertical(*rows, row_shares=shares), column_shares=[3, 2])
+        root = rrb.Horizontal(
+            homes[0], rrb.Vertical(*rows, row_shares=shares), column_shares=[1, 1] if large else [3, 2]
+        )
     else:
         root = rrb.Vertical(rrb.Horizontal(*homes), rrb.Horizontal(*rows), row_shares=[3, 2])
     return rrb.Blueprint(root, time, collapse_panels=True)

@@ -1,0 +1,35 @@
+"""From irradiance to what is shown: the curve that keeps dark corners readable and bright ones in range."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import normalized
+from h3data.render.shade.blockers_simd import DARKEST
+from h3data.render.shade.shading import Light
+
+_MEAN = 0.56
+"""Light on a surface of mean brightness, about that of the flat light."""
+_EXPONENT, _SHOULDER, _BRIGHTEST = 0.8, 1.05, 1.75
+"""Exponent of the curve that maps light to what is shown, where it bends, and its limit, in units of `_MEAN`."""
+_TINT = 0.55
+"""Share of the light's own colour; eyes and cameras adapt to the rest."""
+
+
+def shown_light(irradiance: NDArray[np.floating], mean: float) -> NDArray[np.floating]:
+    """What irradiance [N, 3] looks like in a home with this ``mean``: light on a white surface, linear RGB [N, 3]."""
+    amount = irradiance.mean(1, keepdims=True)
+    tint = 1 + _TINT * (irradiance / np.maximum(amount, 1e-9) - 1)
+    curve = DARKEST + (1 - DARKEST) * (amount / mean) ** _EXPONENT
+    above, room = np.maximum(curve - _SHOULDER, 0), _BRIGHTEST - _SHOULDER
+    curve = np.minimum(curve, _SHOULDER) + room * (1 - np.exp(-above / room))
+    return _MEAN * curve * tint
+
+
+def flat_light(light: Light, normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What the flat light gives surfaces with world normals [V, 3], without the light from the camera, shape [V, 3]."""
+    sky, ground = np.array(light.sky), np.array(light.ground)
+    sun, fill = (normals @ normalized(np.array(d)) for d in (light.sun_direction, light.fill_direction))
+    out = (sky + ground) / 2 + (sky - ground) / 2 * normals[:, 1:2]
+    return out + np.maximum(sun, 0)[:, None] * light.sun + np.maximum(fill, 0)[:, None] * light.fill

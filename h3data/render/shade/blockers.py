@@ -1,0 +1,343 @@
+"""Soft shadows of what moves: capsules that keep light from the pixels around them.
+
+A capsule takes two kinds of light from a point with normal n:
+
+- **Light from everywhere.** With the nearest point of the axis at distance d in direction w, a sphere of radius r covers
+  ``max(n . w, 0) r^2 / d^2`` of the cosine-weighted hemisphere and an endless cylinder ``max(n . w, 0) r / d``: form factors
+  (Siegel and Howell, "Thermal Radiation Heat Transfer", appendix C), exact above the horizon. A capsule lies between them:
+  ``r / d`` times the mean of both its halves' extents over d, at most 1. It is windowed by ``(1 - (d / range)^4)^2``
+  (Karis 2013, "Real Shading in Unreal Engine 4", for lights), so that a capsule matters to few pixels.
+- **Light from one direction.** The sphere around the point of the axis that is nearest to the ray towards the light
+  (closest points of a line and a segment: Ericson 2005, "Real-Time Collision Detection", 5.1.8) covers a part of the light's
+  disc: the overlap of two discs by a smooth step between touching and containing (Oat and Sander 2007, "Ambient Aperture
+  Lighting"), times the share of the disc that the capsule can cover at most. Shadows are sharp where a foot stands on the
+  floor and dissolve with distance.
+
+Each group of capsules, one person or robot or thing, has one direction and share of the light (`h3data.render.light.field`);
+Iwanicki 2013 ("Lighting Technology of The Last of Us") splits light in this way. The point loses ``f`` of what is blocked of
+the direction and ``1 - f`` of the rest, ``f = share (n . l) / (share (n . l) + (1 - share) / 4)``: a share of 1 - s of the
+light from everywhere alike gives a surface a quarter of it. A group does not darken itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.kernels import kernel, kernel_part
+from h3data.render.raster.raster import INSTANCE, Target, View
+from h3data.render.shade.blockers_simd import (
+    ALONG,
+    ALONG_LIGHT,
+    BLOCKER_WORDS,
+    DIRECTION,
+    FADE_M,
+    GROUP,
+    KEPT_M,
+    LENGTH,
+    LIGHT,
+    ORIGIN,
+    PER_ACROSS2,
+    PER_LENGTH2,
+    PER_RADIUS,
+    PER_RANGE4,
+    RADIUS,
+    RADIUS2,
+    REACH,
+    SHARE,
+    SPREAD,
+    START,
+    WIDTH,
+    begin_block,
+    block_all_light,
+    block_one_direction,
+    dim_levels_block,
+    end_group_block,
+)
+
+TILE_X, TILE_Y = 16, 8
+"""Pixels of an image that share a list of capsules."""
+_RANGE = 4.0
+"""Range of the ambient occlusion in radii, beyond `_RANGE_M`."""
+_RANGE_M = 0.12
+_FAINTEST = 1 / 14
+"""A shadow ends where it takes less of the light."""
+_SWEEP = 4
+"""Spheres that enclose a capsule and the space that it may darken."""
+_ALL, _ONE = 1, 2
+"""Bits of a capsule in a list: it takes light from everywhere, and light from one direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blockers:
+    """What keeps light from surfaces at one moment, and the light on what moves."""
+
+    rows: NDArray[np.float32]
+    """Capsules as laid out in `blockers_simd`, those of a group one after another, shape [N, BLOCKER_WORDS]."""
+    tints: NDArray[np.float32]
+    """Factor on the colour of each instance of the scene and its group (-1 = none), shape [I, 4]."""
+
+
+def blocker_rows(
+    capsules: NDArray[np.floating],
+    groups: NDArray[np.integer],
+    light: NDArray[np.floating],
+    share: NDArray[np.floating],
+    reach_m: NDArray[np.floating],
+) -> NDArray[np.float32]:
+    """The words of capsules.
+
+    Args:
+        capsules: Both ends of the axes and radii [N, 7] [m]. Those that are not finite are left out.
+        groups: Group of each capsule [N].
+        light: Unit direction towards the light [N, 3], equal within a group.
+        share: Share of the light that comes from it [N], likewise.
+        reach_m: How far from each capsule the first wall is, away from the light [N] [m].
+    """
+    c = np.asarray(capsules, np.float64).reshape(-1, 7)
+    known = np.isfinite(c).all(1) & (c[:, 6] > 0)
+    order = np.flatnonzero(known)[np.argsort(groups[known], kind="stable")]
+    c, light = c[order], np.asarray(light, np.float64)[order]
+    along, radius = c[:, 3:6] - c[:, :3], np.maximum(c[:, 6], 1e-3)
+    length2, to_light = (along**2).sum(1), (along * light).sum(1)
+    across2 = np.maximum(length2 - to_light**2, 0)
+    out = np.zeros((len(c), BLOCKER_WORDS), np.float32)
+    out[:, START : START + 3], out[:, ALONG : ALONG + 3], out[:, LIGHT : LIGHT + 3] = c[:, :3], along, light
+    out[:, PER_LENGTH2] = np.where(length2 > 1e-8, 1 / np.maximum(length2, 1e-8), 0)
+    out[:, ALONG_LIGHT] = to_light
+    out[:, PER_ACROSS2] = np.where(across2 > 1e-6, 1 / np.maximum(across2, 1e-6), 0)
+    out[:, RADIUS], out[:, RADIUS2] = radius, radius**2
+    width = radius + np.sqrt(across2) / 2
+    out[:, WIDTH] = width
+    out[:, REACH] = np.minimum(reach_m[order], np.sqrt(radius * width / _FAINTEST) / SPREAD)
+    out[:, PER_RANGE4] = 1 / _range_m(radius) ** 4
+    out[:, GROUP], out[:, SHARE], out[:, LENGTH] = groups[order], share[order], np.sqrt(length2)
+    out[:, PER_RADIUS] = 1 / radius
+    return out
+
+
+def _range_m(radius: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Distance from the axis beyond which a capsule occludes nothing [m]."""
+    return _RANGE * radius + _RANGE_M
+
+
+def _spheres(rows: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Spheres that enclose all that each capsule may darken, centre and radius, shape [N, _SWEEP, 4].
+
+    The first lies around the capsule, the others along its shadow.
+    """
+    start, along, light = (rows[:, k : k + 3].astype(np.float64) for k in (START, ALONG, LIGHT))
+    radius, half = rows[:, RADIUS].astype(np.float64), np.linalg.norm(along, axis=1) / 2
+    reach = rows[:, REACH].astype(np.float64) + KEPT_M + FADE_M + half
+    ends = np.arange(1, _SWEEP) / (_SWEEP - 1)
+    middle = (ends - 0.5 / (_SWEEP - 1)) * reach[:, None]
+    out = np.empty((len(rows), _SWEEP, 4))
+    out[:, :, :3] = (start + along / 2)[:, None]
+    out[:, 1:, :3] -= middle[..., None] * light[:, None]
+    out[:, 0, 3] = half + _range_m(radius)
+    shadow = (half + radius)[:, None] + SPREAD * ends * reach[:, None] + reach[:, None] / (2 * (_SWEEP - 1)) + 0.02
+    out[:, 1:, 3] = np.where((rows[:, SHARE] > 0)[:, None], shadow, 0.0)
+    return out
+
+
+class Tiled(NamedTuple):
+    """Capsules and the tiles of an image in which they matter, for the kernels."""
+
+    rows: NDArray[np.float32]
+    tints: NDArray[np.float32]
+    """`Blockers.tints`, or [0, 4]: nothing is tinted."""
+    first: NDArray[np.int32]
+    """Where the list of each tile begins in ``listed``, row by row, shape [tiles + 1]; [0] if there are no capsules."""
+    listed: NDArray[np.int32]
+    """Four times the index of a capsule plus bits that say what it takes."""
+    inv_z: NDArray[np.float32]
+    """1/z of the target, also for orthographic cameras."""
+
+
+NO_BLOCKERS = Tiled(
+    np.zeros((0, BLOCKER_WORDS), np.float32),
+    np.zeros((0, 4), np.float32),
+    np.zeros(0, np.int32),
+    np.zeros(0, np.int32),
+    np.zeros((0, 0), np.float32),
+)
+
+
+def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int) -> Tiled:
+    """The capsules that matter to each tile of an image with ``factor`` samples along each axis of a pixel."""
+    if blockers is None:
+        return NO_BLOCKERS
+    nothing = NO_BLOCKERS._replace(tints=blockers.tints)
+    if not len(blockers.rows):
+        return nothing
+    inv_z = target.inv_z
+    if view.parallel:
+        inv_z = np.where(inv_z > 0, 1 / np.maximum(view.reach - inv_z, 1e-6), 0).astype(np.float32)
+    spheres = _spheres(blockers.rows)
+    seen = _on_screen(spheres, view, factor)
+    index = np.flatnonzero(seen[:, 1] > seen[:, 0])
+    if not len(index):
+        return nothing
+    height, width = view.height // factor, view.width // factor
+    tiles = -(-width // TILE_X) * -(-height // TILE_Y)
+    first, listed = np.zeros(tiles + 1, np.int32), np.empty(tiles * len(index), np.int32)
+    count = _fill_tiles(seen[index], index, blockers.rows, view, inv_z, factor, first, listed)
+    return Tiled(blockers.rows, blockers.tints, first, listed, inv_z) if count else nothing
+
+
+def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
+    """What the spheres of each capsule [N, S, 4] cover: pixels from and to along x and along y, 1/z from and to, [N, 6]."""
+    center = (spheres[..., :3] - view.eye) @ view.axes
+    x, y, z, r = center[..., 0], center[..., 1], center[..., 2], spheres[..., 3]
+    fx, fy, cx, cy = view.intrinsics / factor
+    size = np.array([view.width // factor, view.height // factor])
+    out = np.empty((*r.shape, 6))
+    for axis, (side, f, c) in enumerate(((x, fx, cx), (y, fy, cy))):
+        if view.parallel:
+            low, high = f * (side - r) + c, f * (side + r) + c
+        else:  # both tangents from the eye, in the plane of this axis and z
+            apart = np.sqrt(np.maximum(side**2 + z**2 - r**2, 0))
+            front = (z > r + 0.05) & (apart > 0)
+            middle, half = np.arctan2(side, z), np.arctan2(r, np.maximum(apart, 1e-9))
+            low = np.where(front & (middle - half > -1.5), f * np.tan(np.maximum(middle - half, -1.5)) + c, -1e6)
+            high = np.where(front & (middle + half < 1.5), f * np.tan(np.minimum(middle + half, 1.5)) + c, 1e6)
+        out[..., 2 * axis], out[..., 2 * axis + 1] = np.clip(low, 0, size[axis]), np.clip(high, 0, size[axis])
+    out[..., 4] = 1 / np.maximum(z + r, 1e-3)
+    out[..., 5] = np.where(z - r > 1e-3, 1 / np.maximum(z - r, 1e-3), 1e6)
+    gone = (r <= 0) | (z + r <= 0) | (out[..., 3] <= out[..., 2]) | (out[..., 1] <= out[..., 0])
+    out[gone, 0::2], out[gone, 1::2] = 1e9, 0
+    return np.stack([out[..., k].min(1) if k % 2 == 0 else out[..., k].max(1) for k in range(6)], axis=1)
+
+
+@kernel(error_model="numpy", boundscheck=False)
+def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
+    """Lists the capsules of every tile by the space that is seen in it; returns the length of all lists together.
+
+    ``seen`` [n, 6] (`_on_screen`) is that of the capsules ``index`` [n].
+    """
+    count, height, width = 0, view.height // factor, view.width // factor
+    across = -(-width // TILE_X)
+    low_x, high_x, low_y, high_y = seen[:, 0].min(), seen[:, 1].max(), seen[:, 2].min(), seen[:, 3].max()
+    for tile in range(len(first) - 1):
+        first[tile] = count
+        x0, y0 = (tile % across) * TILE_X, (tile // across) * TILE_Y
+        x1, y1 = min(x0 + TILE_X, width), min(y0 + TILE_Y, height)
+        if x0 >= high_x or x1 <= low_x or y0 >= high_y or y1 <= low_y:
+            continue
+        nearest, farthest = np.float32(0), np.float32(1e9)
+        for y in range(y0 * factor, y1 * factor):
+            for x in range(x0 * factor, x1 * factor):
+                w = inv_z[y, x]
+                nearest = max(nearest, w)
+                farthest = min(farthest, w if w > 0 else np.float32(1e9))
+        if nearest == 0:
+            continue
+        around = _around_tile(view, factor, x0, x1, y0, y1, 1 / nearest, 1 / farthest)
+        for n in range(len(seen)):
+            if (
+                seen[n, 0] < x1 and seen[n, 1] > x0 and seen[n, 2] < y1 and seen[n, 3] > y0
+                and seen[n, 4] <= nearest and seen[n, 5] >= farthest
+            ):  # fmt: skip
+                bits = _matters(rows, index[n], around)
+                if bits:
+                    listed[count] = 4 * index[n] + bits
+                    count += 1
+    first[-1] = count
+    return count
+
+
+@kernel_part()
+def _around_tile(view, factor, x0, x1, y0, y1, near, far):
+    """A sphere around all points of a tile between two distances: x, y, z, radius."""
+    fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
+    low, high = (1e9, 1e9, 1e9), (-1e9, -1e9, -1e9)
+    for corner in range(8):
+        u = ((x1 if corner & 1 else x0) * factor - cx) / fx
+        v = ((y1 if corner & 2 else y0) * factor - cy) / fy
+        z = far if corner & 4 else near
+        size = 1.0 if view.parallel else z
+        p, a = view.eye, view.axes
+        x = p[0] + (a[0, 0] * u + a[0, 1] * v) * size + a[0, 2] * z
+        y = p[1] + (a[1, 0] * u + a[1, 1] * v) * size + a[1, 2] * z
+        w = p[2] + (a[2, 0] * u + a[2, 1] * v) * size + a[2, 2] * z
+        low = (min(low[0], x), min(low[1], y), min(low[2], w))
+        high = (max(high[0], x), max(high[1], y), max(high[2], w))
+    dx, dy, dz = high[0] - low[0], high[1] - low[1], high[2] - low[2]
+    radius = 0.5 * np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-3
+    return (low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2, radius
+
+
+@kernel_part(forceinline=True)
+def _matters(rows, n, around):
+    """Which light a capsule may take from points in a sphere; the distances are those of `blockers_simd.block_block`."""
+    px, py, pz = around[0] - rows[n, START], around[1] - rows[n, START + 1], around[2] - rows[n, START + 2]
+    ax, ay, az = rows[n, ALONG], rows[n, ALONG + 1], rows[n, ALONG + 2]
+    lx, ly, lz = rows[n, LIGHT], rows[n, LIGHT + 1], rows[n, LIGHT + 2]
+    beside, ahead = px * ax + py * ay + pz * az, px * lx + py * ly + pz * lz
+    bits = 0
+    s = min(max(beside * rows[n, PER_LENGTH2], 0.0), 1.0)
+    qx, qy, qz = ax * s - px, ay * s - py, az * s - pz
+    distance = np.sqrt(qx * qx + qy * qy + qz * qz) - around[3]
+    if distance <= 0 or distance**4 * rows[n, PER_RANGE4] < 1:
+        bits |= _ALL
+    if rows[n, SHARE] > 0:
+        s = min(max((beside - ahead * rows[n, ALONG_LIGHT]) * rows[n, PER_ACROSS2], 0.0), 1.0)
+        qx, qy, qz = ax * s - px, ay * s - py, az * s - pz
+        away = s * rows[n, ALONG_LIGHT] - ahead
+        off = np.sqrt(max(qx * qx + qy * qy + qz * qz - away * away, 0.0))
+        # points beside the middle may see another part of the axis
+        high = max(rows[n, ALONG_LIGHT], 0.0) - ahead + around[3]
+        low = min(rows[n, ALONG_LIGHT], 0.0) - ahead - around[3]
+        longest = rows[n, REACH] + KEPT_M + FADE_M
+        if high > 0 and low < longest:
+            disc = max(min(high, longest) * SPREAD, 0.01)
+            if off < disc + rows[n, RADIUS] + around[3]:
+                bits |= _ONE
+    return bits
+
+
+# --- inside the shading kernel -------------------------------------------------------------------------------------------
+@kernel_part(forceinline=True)
+def owner_of(blockers, target, word):
+    """Group of the instance that a pixel's word shows, -1 = none."""
+    instance = target.draws[word >> 7, INSTANCE]
+    return blockers.tints[instance, 3]
+
+
+@kernel_part(forceinline=True)
+def set_rays(rays, view, axes, u, v, step):
+    """Fills the rays of a block whose first pixel looks along (u, v, 1); ``axes`` are those of the directions."""
+    for k in range(3):
+        rays[ORIGIN + 2 * k], rays[ORIGIN + 2 * k + 1] = view.eye[k], 0.0
+        if view.parallel:
+            rays[ORIGIN + 2 * k] += view.axes[k, 0] * u + view.axes[k, 1] * v
+            rays[ORIGIN + 2 * k + 1] = view.axes[k, 0] * step
+        rays[DIRECTION + 2 * k] = axes[k, 0] * u + axes[k, 1] * v + axes[k, 2]
+        rays[DIRECTION + 2 * k + 1] = axes[k, 0] * step
+
+
+@kernel_part()
+def block_pixels(blockers, tile, rays, near_at, owners_at, only, strip_at, row_bytes, scratch):
+    """Dims 8 pixels of a strip (levels and normals, `shading_simd`) by the capsules of a tile.
+
+    ``only`` is the group of all 8, or -1; its own capsules are skipped.
+    """
+    rows, scratch_at = blockers.rows, np.uintp(scratch.ctypes.data)
+    rows_at, stride = np.uintp(rows.ctypes.data), np.uintp(BLOCKER_WORDS * 4)
+    begin, end = blockers.first[tile], blockers.first[tile + 1]
+    begin_block(np.uintp(rays.ctypes.data), near_at, scratch_at)
+    for k in range(begin, end):
+        n, bits = blockers.listed[k] >> 2, blockers.listed[k] & 3
+        if rows[n, GROUP] == only:
+            continue
+        blocker_at = rows_at + np.uintp(n) * stride
+        if bits & _ALL:
+            block_all_light(blocker_at, strip_at, row_bytes, owners_at, scratch_at)
+        if bits & _ONE:
+            block_one_direction(blocker_at, owners_at, scratch_at)
+        if k + 1 == end or rows[blockers.listed[k + 1] >> 2, GROUP] != rows[n, GROUP]:
+            end_group_block(blocker_at, strip_at, row_bytes, scratch_at)
+    dim_levels_block(near_at, strip_at, row_bytes, scratch_at)

@@ -1,0 +1,205 @@
+"""Light that capsules take from 8 pixels at a time, as numba intrinsics; `blockers` says what is computed and why.
+
+There is no fused arithmetic here, so that NumPy in float32 gives the same numbers, bit for bit.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+
+from h3data.render.raster.vectors import FLOAT, FLOAT8, INT8, LANES, Vec, intrinsic, lanes, load, splat, store
+
+# Float32 words of a capsule: one end, the vector to the other end, direction to the light, 1 / length^2, (vector . light),
+# 1 / squared length across the light, radius and its square, half the length across the light, distance that shadows reach,
+# 1 / range^4 of the ambient occlusion, group, share of the light that comes from the direction, length, and 1 / radius.
+START, ALONG, LIGHT, PER_LENGTH2, ALONG_LIGHT, PER_ACROSS2, RADIUS, RADIUS2, WIDTH, REACH, PER_RANGE4 = (
+    0, 3, 6, 9, 10, 11, 12, 13, 14, 15, 16,
+)  # fmt: skip
+GROUP, SHARE, LENGTH, PER_RADIUS = 17, 18, 19, 20
+BLOCKER_WORDS = 21
+
+SPREAD = 0.30
+"""Tangent of the angular radius of the light: that of a window 1.2 m wide, 2 m away."""
+FADE_M, KEPT_M = 0.25, 0.1
+"""A shadow is whole up to this far beyond its reach, and gone so much later: walls stop it (`h3data.render.light.field`)."""
+DARKEST = 0.22
+"""Share of its light that a surface keeps when all of it is blocked; see `h3data.render.light.bake`."""
+_THINNEST_M = 0.01
+"""Smallest radius of the light's disc at a capsule."""
+
+# Float32 words of the rays of a block: origin and direction, each the value at its first pixel and the increment per pixel.
+ORIGIN, DIRECTION = 0, 6
+RAY_WORDS = 12
+# Rows of 8 words of the scratch space: positions, light that is left, and of one group: light of the direction, other light.
+POSITION, LEFT, DIRECTED, AMBIENT = 0, 3, 4, 5
+SCRATCH_ROWS = 6
+
+Triple = tuple[Vec, Vec, Vec]
+
+
+def _dot(a: Triple, b: Triple) -> Vec:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _word(b: Any, address: Any, word: int) -> Vec:
+    return Vec(b, splat(b, load(b, address, 4 * word, FLOAT)))
+
+
+def _triple(b: Any, address: Any, word: int) -> Triple:
+    return _word(b, address, word), _word(b, address, word + 1), _word(b, address, word + 2)
+
+
+def _row(b: Any, address: Any, row: int) -> Vec:
+    return Vec(b, load(b, address, 4 * LANES * row))
+
+
+def _keep(b: Any, value: Vec, address: Any, row: int) -> None:
+    store(b, value.value, address, 4 * LANES * row)
+
+
+def _constant(b: Any, value: float) -> Vec:
+    return Vec(b, ir.Constant(FLOAT8, [value] * LANES))
+
+
+def _select(b: Any, mask: Any, yes: Vec, no: Vec) -> Vec:
+    return Vec(b, b.select(mask.value, yes.value, no.value))
+
+
+def _normal(b: Any, strip_at: Any, row_bytes: Any) -> Triple:
+    at = b.add(strip_at, b.mul(row_bytes, ir.Constant(row_bytes.type, 3)))
+    rows = []
+    for _ in range(3):
+        rows.append(Vec(b, load(b, at)))
+        at = b.add(at, row_bytes)
+    return rows[0], rows[1], rows[2]
+
+
+_p = types.uintp
+
+
+@intrinsic
+def begin_block(typing_context, rays_at, near_at, scratch_at):
+    """Computes the positions of 8 neighbouring pixels from their rays and 1/z; all their light is left."""
+
+    def codegen(context, b, signature, arguments):
+        rays_at, near_at, scratch_at = arguments
+        z = Vec(b, load(b, near_at)).maximum(1e-9).reciprocal()
+        for a in range(3):
+            origin, direction = (
+                _word(b, rays_at, first + 2 * a) + _word(b, rays_at, first + 2 * a + 1) * lanes(b)
+                for first in (ORIGIN, DIRECTION)
+            )
+            _keep(b, origin + direction * z, scratch_at, POSITION + a)
+        for row in (LEFT, DIRECTED, AMBIENT):
+            _keep(b, _constant(b, 1.0), scratch_at, row)
+        return context.get_dummy_value()
+
+    return types.void(_p, _p, _p), codegen
+
+
+def _from_start(b: Any, blocker_at: Any, scratch_at: Any) -> Triple:
+    start = _triple(b, blocker_at, START)
+    x, y, z = (_row(b, scratch_at, POSITION + a) - start[a] for a in range(3))
+    return x, y, z
+
+
+def _take(b: Any, taken: Vec, blocker_at: Any, owners_at: Any, scratch_at: Any, row: int) -> None:
+    """Multiplies a row of the scratch space by what is left, except for pixels of the capsule's own group."""
+    own = Vec(b, load(b, owners_at)).compare("==", _word(b, blocker_at, GROUP))
+    left = _select(b, own, _constant(b, 1.0), -(taken - 1.0))
+    _keep(b, _row(b, scratch_at, row) * left, scratch_at, row)
+
+
+@intrinsic
+def block_all_light(typing_context, blocker_at, strip_at, row_bytes, owners_at, scratch_at):
+    """Multiplies AMBIENT of 8 pixels by what a capsule leaves, seen from the nearest point of its axis.
+
+    ``strip_at`` is the address of a strip of 6 rows of which the last three hold normals (`shading_simd.light_block`).
+    """
+
+    def codegen(context, b, signature, arguments):
+        blocker_at, strip_at, row_bytes, owners_at, scratch_at = arguments
+        normal, along = _normal(b, strip_at, row_bytes), _triple(b, blocker_at, ALONG)
+        radius2, from_start = _word(b, blocker_at, RADIUS2), _from_start(b, blocker_at, scratch_at)
+        s = (_dot(from_start, along) * _word(b, blocker_at, PER_LENGTH2)).maximum(0.0).minimum(1.0)
+        x, y, z = (along[a] * s - from_start[a] for a in range(3))
+        distance2 = _dot((x, y, z), (x, y, z)).maximum(radius2)
+        per_distance, one = distance2.unary("sqrt").reciprocal(), _constant(b, 1.0)
+        radius, length = _word(b, blocker_at, RADIUS), _word(b, blocker_at, LENGTH)
+        before, after = length * s + radius, length * (-(s - 1.0)) + radius
+        covered = ((before * per_distance).minimum(1.0) + (after * per_distance).minimum(1.0)) * 0.5
+        window = (-(distance2 * distance2 * _word(b, blocker_at, PER_RANGE4) - 1.0)).maximum(0.0)
+        facing = _dot(normal, (x, y, z)).maximum(0.0) * per_distance
+        hidden = (facing * (radius * per_distance) * covered * window * window).minimum(one)
+        _take(b, hidden, blocker_at, owners_at, scratch_at, AMBIENT)
+        return context.get_dummy_value()
+
+    return types.void(_p, _p, _p, _p, _p), codegen
+
+
+@intrinsic
+def block_one_direction(typing_context, blocker_at, owners_at, scratch_at):
+    """Multiplies DIRECTED of 8 pixels by what a capsule leaves: the sphere around the point nearest to the ray to the light."""
+
+    def codegen(context, b, signature, arguments):
+        blocker_at, owners_at, scratch_at = arguments
+        along, light = (_triple(b, blocker_at, word) for word in (ALONG, LIGHT))
+        to_light, radius = _word(b, blocker_at, ALONG_LIGHT), _word(b, blocker_at, RADIUS)
+        from_start = _from_start(b, blocker_at, scratch_at)
+        beside, ahead = _dot(from_start, along), _dot(from_start, light)
+        s = ((beside - ahead * to_light) * _word(b, blocker_at, PER_ACROSS2)).maximum(0.0).minimum(1.0)
+        x, y, z = (along[a] * s - from_start[a] for a in range(3))
+        away = s * to_light - ahead
+        off = (_dot((x, y, z), (x, y, z)) - away * away).maximum(0.0).unary("sqrt")
+        disc = (away * SPREAD).maximum(_THINNEST_M)
+        per_radius, per_disc = _word(b, blocker_at, PER_RADIUS), disc.reciprocal()
+        step = ((disc + radius - off) * (per_disc.maximum(per_radius) * 0.5)).maximum(0.0).minimum(1.0)
+        overlap = step * step * (-(step * 2.0 - 3.0))
+        wide = (_word(b, blocker_at, WIDTH) * per_disc).minimum(1.0)
+        most = (radius * per_disc * wide).minimum(1.0)
+        onset = (away * (per_radius * 2.0)).maximum(0.0).minimum(1.0)
+        fade = ((_word(b, blocker_at, REACH) + (KEPT_M + FADE_M) - away) * (1 / FADE_M)).maximum(0.0).minimum(1.0)
+        _take(b, most * overlap * onset * fade, blocker_at, owners_at, scratch_at, DIRECTED)
+        return context.get_dummy_value()
+
+    return types.void(_p, _p, _p), codegen
+
+
+@intrinsic
+def end_group_block(typing_context, blocker_at, strip_at, row_bytes, scratch_at):
+    """Multiplies LEFT by what a group leaves; ``blocker_at`` is any capsule of it. DIRECTED and AMBIENT are 1 again."""
+
+    def codegen(context, b, signature, arguments):
+        blocker_at, strip_at, row_bytes, scratch_at = arguments
+        normal, light = _normal(b, strip_at, row_bytes), _triple(b, blocker_at, LIGHT)
+        share = _word(b, blocker_at, SHARE)
+        directed = share * _dot(normal, light).maximum(0.0)
+        other = (-(share - 1.0)) * 0.25
+        directed = directed.divided_by((directed + other).maximum(1e-6))
+        lost = directed * (-(_row(b, scratch_at, DIRECTED) - 1.0))
+        lost = lost + (-(directed - 1.0)) * (-(_row(b, scratch_at, AMBIENT) - 1.0))
+        _keep(b, _row(b, scratch_at, LEFT) * (-(lost * (1 - DARKEST) - 1.0)), scratch_at, LEFT)
+        for row in (DIRECTED, AMBIENT):
+            _keep(b, _constant(b, 1.0), scratch_at, row)
+        return context.get_dummy_value()
+
+    return types.void(_p, _p, _p, _p), codegen
+
+
+@intrinsic
+def dim_levels_block(typing_context, near_at, strip_at, row_bytes, scratch_at):
+    """Multiplies the levels of 8 pixels that see something (1/z > 0) by LEFT."""
+
+    def codegen(context, b, signature, arguments):
+        near_at, strip_at, row_bytes, scratch_at = arguments
+        left = _select(b, Vec(b, load(b, near_at)).compare(">", 0.0), _row(b, scratch_at, LEFT), _constant(b, 1.0))
+        for _ in range(3):
+            level = Vec(b, b.sitofp(load(b, strip_at, 0, INT8), FLOAT8))
+            store(b, b.fptosi((level * left).value, INT8), strip_at)
+            strip_at = b.add(strip_at, row_bytes)
+        return context.get_dummy_value()
+
+    return types.void(_p, _p, _p, _p), codegen

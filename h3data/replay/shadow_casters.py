@@ -1,0 +1,67 @@
+"""Capsules of all that moves in a recording, which cast its soft shadows in baked light."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import Array
+from h3data.render.light.field import LightField, capsule_of_box
+from h3data.render.scene import RenderInstance
+from h3data.render.shade.blockers import Blockers
+from h3data.scene import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowCasters:
+    """The instances of a scene that move, in groups that do not darken themselves: an agent, or one thing."""
+
+    field: LightField
+    members: NDArray[np.int64]
+    """Group of every instance, -1 for what stands still, shape [I]."""
+    local: NDArray[np.float64]
+    """A capsule around the mesh of every instance, in its frame: both ends and radius, shape [I, 7]; NaN for no mesh."""
+
+    def blockers(
+        self, rigid: Sequence[tuple[NDArray[np.intp], Array]], world: Mapping[int, NDArray[np.floating]]
+    ) -> Blockers:
+        """What blocks light at one moment.
+
+        Args:
+            rigid: Instances [n] and their matrices [n, 4, 4], NaN where absent.
+            world: Capsules [n, 7] of deformable bodies in the world, by an instance of each.
+        """
+        capsules, groups = [np.zeros((0, 7))], [np.zeros(0, np.int64)]
+        for instances, matrices in rigid:
+            capsules.append(moved(self.local[instances], np.asarray(matrices, np.float64)))
+            groups.append(self.members[instances])
+        for instance, own in world.items():
+            capsules.append(np.asarray(own, np.float64))
+            groups.append(np.full(len(own), self.members[instance]))
+        return self.field.blockers(np.concatenate(capsules), np.concatenate(groups), members=self.members)
+
+
+def shadow_casters(
+    field: LightField, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], agents: Mapping[int, int]
+) -> ShadowCasters:
+    """The casters of a scene. ``agents`` gives the agent of every moving instance, -1 for things."""
+    members = np.full(len(instances), -1, np.int64)
+    local = np.full((len(instances), 7), np.nan)
+    first_thing = max(agents.values(), default=-1) + 1
+    for instance, agent in sorted(agents.items()):
+        members[instance] = agent if agent >= 0 else first_thing + instance
+        mesh = meshes[instances[instance].mesh]
+        if len(mesh.vertices):
+            local[instance] = capsule_of_box(*mesh.bounds.astype(np.float64))
+    return ShadowCasters(field, members, local)
+
+
+def moved(capsules: NDArray[np.float64], matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Capsules [N, 7] under matrices [N, 4, 4]; their radii scale like the cube root of the volume."""
+    linear, origin = matrices[:, :3, :3], matrices[:, :3, 3]
+    ends = [(linear @ capsules[:, k : k + 3, None])[..., 0] + origin for k in (0, 3)]
+    size = np.cbrt(np.abs(np.linalg.det(linear)))
+    return np.column_stack([*ends, capsules[:, 6] * size])
