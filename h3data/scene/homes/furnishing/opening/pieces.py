@@ -159,7 +159,7 @@ def opening_fridge(size: tuple[float, float, float], body: Color, metal: Color) 
     back, wall = -d / 2, 0.04
     frame.board((-half, 0.03, back), (half, 0.1, front), body)
     names: dict[str, list[str]] = {"door": [], "freezer": []}
-    for part, low, high, boards in (("door", 0.1, split, 3), ("freezer", split, h, 2)):
+    for part, low, high, boards in (("door", 0.1, split, 2), ("freezer", split, h, 1)):
         frame.shell((-half, half), (low, high), (back, front), body, INSIDE, wall=wall)
         inner = high - low - 2 * wall
         for i in range(boards):
