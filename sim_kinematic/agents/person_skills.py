@@ -153,7 +153,7 @@ class PersonActor:
         if action.skill == "nav_to_handle":
             return self._navigate_to_handle(k)
         if action.skill in ("open", "close"):
-            return self._lead(k, opens=action.skill == "open")
+            return self._move_part(k, opens=action.skill == "open")
         if action.skill.startswith("nav"):
             to_goal = action.skill == "nav_to_goal"
             return self._navigate(self.objects.goals[k] if to_goal else self.objects.poses[k, :3], self._hands(k))
@@ -223,7 +223,7 @@ class PersonActor:
         yield from self._careful(self.person.turn(float(stand[2]), settles=False))
         return Ending("done")
 
-    def _lead(self, k: int, *, opens: bool) -> Skill:
+    def _move_part(self, k: int, *, opens: bool) -> Skill:
         """Open or close a part, the hand at its handle."""
         assert self.openables is not None
         leading = Leading(self.openables, k, opens=opens)

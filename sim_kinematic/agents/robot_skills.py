@@ -204,7 +204,7 @@ class RobotActor:
         if action.skill == "nav_to_handle":
             return self._navigate_to_handle(k)
         if action.skill in ("open", "close"):
-            return self._reach(self._lead(k, opens=action.skill == "open"))
+            return self._reach(self._move_part(k, opens=action.skill == "open"))
         if action.skill in PRIMITIVES:
             forward, turn, steps = PRIMITIVES[action.skill]
             return self._move(forward, turn, steps)
@@ -311,7 +311,7 @@ class RobotActor:
                 return (yield from self.drive_to(near[n, :2], facing=way[0, [0, 2]]))
         return Ending("failed", "no_way")
 
-    def _lead(self, k: int, *, opens: bool) -> Skill:
+    def _move_part(self, k: int, *, opens: bool) -> Skill:
         """Opens or closes a part: the hand takes its handle and leads it as far as the arm reaches."""
         assert self.openables is not None
         leading = Leading(self.openables, k, opens=opens)

@@ -130,7 +130,9 @@ class Objects:
     goals: NDArray[np.float64]
     """Shape [K, 3] [m]."""
     state: WorldState
-    """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7]."""
+    """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1, J]."""
+    joints: tuple[str, ...] = ()
+    """Names of the home's doors and drawers."""
 
     @property
     def poses(self) -> NDArray[np.float64]:
@@ -142,11 +144,6 @@ class Objects:
         """Agent that holds each, [K]; a view."""
         return self.state.held_by[0]
 
-    @property
-    def joint_count(self) -> int:
-        """Of doors and drawers."""
-        return self.state.joint_pos.shape[1]
-
     def held(self, agent: int) -> int:
         """Index of what an agent holds, -1 = nothing."""
         holders = self.held_by.tolist()
@@ -155,12 +152,12 @@ class Objects:
     def why_not(self, agent: int, action: Action) -> str:
         """The pre-conditions that both kinds of actors share."""
         skill, k = action.skill, action.target
-        known = (*SKILLS, *OPENING_SKILLS) if self.joint_count else SKILLS
+        known = (*SKILLS, *OPENING_SKILLS) if self.joints else SKILLS
         if skill not in known:
             raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.")
         if skill in OPENING_SKILLS:
-            if not 0 <= k < self.joint_count:
-                raise InputError(f"{skill} needs one of the joints 0 to {self.joint_count - 1}, got {k}.")
+            if not 0 <= k < len(self.joints):
+                raise InputError(f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.")
             return "hand_full" if skill != "nav_to_handle" and self.held(agent) >= 0 else ""
         if skill in SKILLS[:4] and not 0 <= k < len(self.names):
             raise InputError(f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.")

@@ -166,7 +166,7 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
 
 
 def _name(spec: HomeSpec) -> str:
-    options = "".join(f"_{name}_{value:g}" for name, value in spec.changes.items())
+    options = "".join(f"_{name}" if value is True else f"_{name}_{value:g}" for name, value in spec.changes.items())
     return f"home_{spec.preset}_{int(spec.seed)}{options}"
 
 

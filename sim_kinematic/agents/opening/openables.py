@@ -107,6 +107,10 @@ class Openables:
         point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
         if not at_goal and self.objects.held_by[k] != NOBODY:
             return -1
+        return self.barrier_for(k, point)
+
+    def barrier_for(self, k: int, point: Array) -> int:
+        """The joint that has to be opened first to put object ``k`` with its origin at a world point [3]; -1: none."""
         return self.barrier(point + np.array([0.0, self._extents[k][1], 0.0]))
 
     @cached_property

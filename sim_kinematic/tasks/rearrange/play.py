@@ -192,13 +192,13 @@ class RearrangePlay:
 
     def __post_init__(self) -> None:
         world = self.episode
-        names = tuple(t.name for t in world.targets)
+        names, joints = tuple(t.name for t in world.targets), joint_names(world.scene)
         if len(self.policies) != len(world.roster):
             raise InputError(f"Expected one policy for each of {len(world.roster)} agents, got {len(self.policies)}.")
         robots = [member.body for member in world.roster if isinstance(member.body, Robot)]
         state = WorldState.zeros(
             1, robots=len(robots), people=len(world.roster) - len(robots), joints=[len(body.rest) for body in robots],
-            objects=len(names), scene_joints=len(joint_names(world.scene)),
+            objects=len(names), scene_joints=len(joints),
         )  # fmt: skip
         for own, place in zip(state.agents, world.starts, strict=True):
             own.xz[0], own.heading[0] = place[:2], place[2]
@@ -206,7 +206,7 @@ class RearrangePlay:
             own.joints[0] = body.rest
         state.object_pose[0] = [t.start for t in world.targets]
         self.state = state
-        self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state)
+        self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state, joints)
         self.openables = self._openables()
         self.starts = state.object_pose[0, :, :3].copy()
         self.actors = [self._actor(number) for number in range(len(world.roster))]
@@ -220,7 +220,7 @@ class RearrangePlay:
                 self.policies[actor.number].policy,
                 self.spans,
                 names,
-                self.openables.joints.names if self.openables is not None else (),
+                joints,
             )
             for actor in acts
         ]
@@ -269,7 +269,7 @@ class RearrangePlay:
     def _openables(self) -> Openables | None:
         """The doors and drawers of the home at their rest positions; None if nothing opens."""
         world = self.episode
-        if not self.objects.joint_count:
+        if not self.objects.joints:
             return None
         found = Openables(
             world.scene, self.objects, world.free.floor_y, discs=self._discs_of, agents=len(world.roster)
@@ -286,7 +286,9 @@ class RearrangePlay:
         after = openables.positions
         for k, (was, now) in enumerate(zip(*(openables.joints.shares(q) for q in (before, after)), strict=True)):
             if (was < AJAR) != (now < AJAR):
-                who = next((r.number for r in self.runners if r.action[:2] in (("open", k), ("close", k))), -1)
+                who = next(
+                    (r.number for r in self.runners if r.skill and r.action[:2] in (("open", k), ("close", k))), -1
+                )
                 name = openables.joints.names[k]
                 self.events.append(
                     Event(step=self.step, agent=who, kind="open" if now >= AJAR else "close", target=name)
