@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from h3data.bodies import Robot
 
 _TURNS, _SLIDES = 1, 2
-_BESIDE_M = 0.02
-"""A place counts as behind a door up to this far beside it."""
+_BESIDE_M, _OVER_M = 0.02, 0.1
+"""What is up to so far beside a door counts as behind it; half of so far over a surface things are that lie on it."""
 
 
 def articulation_of(
@@ -119,7 +119,8 @@ def _enclosed(
     found = []
     for instance in everything:
         for receptacle in assets[instance.asset].receptacles if instance.name not in names else ():
-            place = transform_points(back @ instance_matrix(instance), np.asarray(receptacle.center)[None])[0]
+            over = receptacle.center + np.array([0.0, min(receptacle.clearance_m, _OVER_M) / 2, 0.0])
+            place = transform_points(back @ instance_matrix(instance), over[None])[0]
             if (place >= low).all() and (place <= high).all():
                 found.append(f"{instance.name}|{receptacle.name}")
     return tuple(found)
