@@ -70,8 +70,8 @@ class Job:
             values["agents"] = agents if self.found_task.bodies_in_agents else ",".join(agents)
         values |= {name: rules_dict(values[name]) for name in ("spec", "drawn_with") if values.get(name) is not None}
         told = json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
-        if isinstance(scene := told.get("scene"), dict) and scene.get("articulated") is False:
-            del scene["articulated"]  # as before homes could open: what was begun then goes on
+        if isinstance(home := told["source"], dict) and home.get("articulated") is False:
+            del home["articulated"]  # as before homes could open: what was begun then goes on
         return told
 
     @cached_property

@@ -10,6 +10,9 @@ import pytest
 
 import h3data
 from h3data.errors import FormatError, InputError
+from h3data.exporters.csv_tables import write_csv_tables
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
+from h3data.mesh.glb import unpack_glb
 from h3data.recording import DatasetWriter, Recording, write_mcap
 from h3data.replay.validation import validate_recording
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
@@ -308,3 +311,36 @@ def test_both_door_and_rack_are_opened_door_first(home: Scene) -> None:
     assert openables.barrier(foot) == door
     openables.move(door, float(openables.joints.opened[door]))
     assert openables.barrier(foot) == slide
+
+
+# --- exports ------------------------------------------------------------------------------------------------------------
+def test_gltf_animates_the_drawer_and_what_lies_in_it(recording: Recording, home: Scene, tmp_path: Path) -> None:
+    write_mcap(recording, tmp_path / "e.mcap")
+    document, _ = unpack_glb(h3data.export(tmp_path / "e.mcap", tmp_path / "e.glb", to="gltf").read_bytes(), "e.glb")
+    moved = {document["nodes"][c["target"]["node"]]["name"] for c in document["animations"][0]["channels"]}
+    assert {DRAWER, THING} <= moved
+    assert not {name for name in joints_of(home).names if name != DRAWER} & moved
+
+
+def test_gfx_replays_move_the_drawer_as_a_rigid_body(recording: Recording, home: Scene, tmp_path: Path) -> None:
+    write_mcap(recording, tmp_path / "e.mcap")
+    path = h3data.export(tmp_path / "e.mcap", tmp_path / "e.gfx_replay.json", to="gfx-replay")
+    again = read_gfx_replay(path)
+    joints = joints_of(home)
+    k = joints.index(DRAWER)
+    motions = joints.motions(recording.columns["scene.joint_pos"].astype(np.float64))[:, k, :3, 3]
+    travel = motions[-1] - motions[0]
+    tracks = again.columns["object_pose"][:, :, :3].astype(np.float64)
+    slid = np.flatnonzero(np.abs(tracks[-1] - tracks[0] - travel).max(-1) < 1e-4)
+    assert len(slid)
+    np.testing.assert_allclose(tracks[:, slid[0]] - tracks[0, slid[0]], motions - motions[0], atol=1e-4)
+
+
+def test_csv_names_the_joints(recording: Recording, home: Scene, tmp_path: Path) -> None:
+    folder = tmp_path / "csv"
+    folder.mkdir()
+    write_csv_tables(recording, folder)
+    head = (folder / "steps.csv").read_text().splitlines()[0].split(",")
+    assert [name for name in head if name.startswith("scene.")] == [
+        f"scene.joint_pos.{name}" for name in joints_of(home).names
+    ]
