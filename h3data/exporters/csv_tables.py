@@ -14,9 +14,8 @@ import numpy as np
 
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
-from h3data.recording.records import Agent, Recording
+from h3data.recording.records import JOINTS, Agent, Recording
 from h3data.recording.schema import episode_to_dict
-from h3data.replay.posed_recording import JOINTS
 from h3data.scene import joint_names, load_scene
 
 FILES = (

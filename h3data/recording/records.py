@@ -46,6 +46,9 @@ from h3data.errors import FormatError
 SCHEMA_VERSION = "1.7"
 """Additive changes raise the second number; readers refuse a newer first number."""
 
+JOINTS = "scene.joint_pos"
+"""The column with the positions of a home's doors and drawers."""
+
 PLANTED_SINCE = (1, 5)
 """Schema version since which people walk with planted feet (`h3data.bodies.people.planted_gait`)."""
 

@@ -20,6 +20,7 @@ from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording
+from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode
 from h3data.replay.link_poses import LinkPoses
 from h3data.replay.records import (
@@ -34,9 +35,6 @@ from h3data.replay.records import (
 )
 from h3data.scene import Mesh, Scene, load_scene
 from h3data.scene.articulation import SceneJoints, joints_of
-
-JOINTS = "scene.joint_pos"
-"""Column with the positions of a home's doors and drawers."""
 
 
 class PosedRecording:

@@ -22,7 +22,7 @@ from h3data.bodies.people.foot_planting import LEG_JOINTS, runs, sole_points
 from h3data.errors import H3DataError
 from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Recording, state_hash
-from h3data.replay.posed_recording import JOINTS
+from h3data.recording.records import JOINTS
 from h3data.replay.replay import Replay
 from h3data.scene import FreeSpace, load_scene
 from h3data.scene.articulation import joints_of

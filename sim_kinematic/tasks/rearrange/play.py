@@ -17,6 +17,7 @@ from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.kernels import kernel
 from h3data.recording import STEP_NS, Event, SkillSpan
+from h3data.recording.records import JOINTS
 from h3data.scene import Scene
 from h3data.scene.articulation import AJAR, joint_names
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
@@ -54,7 +55,7 @@ DTYPES: dict[str, type] = {
     "skill": np.int32,
     "skill_target": np.int32,
     "object_pose": np.float32,
-    "scene.joint_pos": np.float32,
+    JOINTS: np.float32,
     "metrics.at_goal": np.bool_,
     "metrics.dist_agents": np.float32,
     "metrics.collision": np.bool_,
@@ -424,7 +425,7 @@ class RearrangePlay:
         frames = {person.number: person.person.frame() for person in self.people}
         row: Row = {"object_pose": self.objects.poses.copy()}
         if self.openables is not None:
-            row["scene.joint_pos"] = self.openables.positions.copy()
+            row[JOINTS] = self.openables.positions.copy()
         for runner in self.runners:
             at, actor = f"agent_{runner.number}.", runner.actor
             if isinstance(actor, RobotActor):

@@ -17,6 +17,7 @@ from h3data.recording import DatasetWriter, Recording, write_mcap
 from h3data.replay.validation import validate_recording
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.articulation import joints_of, posed
+from h3data_pipelines.cli import main
 from sim_kinematic.agents.driven.commands import (
     Close,
     Drop,
@@ -34,7 +35,7 @@ from sim_kinematic.agents.skills import ALL_SKILLS, Action, Objects
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec, Target
-from sim_kinematic.tasks.resume import resume, verify
+from sim_kinematic.tasks.resume import counterfactual, resume, verify
 from sim_kinematic.tasks.runner import Session, simulate
 from tests.simulated import REARRANGE, rearrange_episode
 
@@ -313,6 +314,17 @@ def test_both_door_and_rack_are_opened_door_first(home: Scene) -> None:
     assert openables.barrier(foot) == slide
 
 
+@pytest.mark.slow
+def test_people_who_keep_their_track_open_what_they_opened(episode: RearrangeEpisode) -> None:
+    """The same robot again is another policy's counterfactual: what the person did, drawers included, comes out again."""
+    both = simulate(REARRANGE, episode, {"human": "both", "robot": "still"}, info={"solo_steps": 1})
+    assert "open" in {span.name for span in both.skills if span.agent == 1}
+    again = counterfactual(both, "complement")
+    steps = min(len(again), len(both))
+    for name in ("scene.joint_pos", "agent_1.joint_quat"):
+        np.testing.assert_array_equal(again.columns[name][:steps], both.columns[name][:steps])
+
+
 # --- exports ------------------------------------------------------------------------------------------------------------
 def test_gltf_animates_the_drawer_and_what_lies_in_it(recording: Recording, home: Scene, tmp_path: Path) -> None:
     write_mcap(recording, tmp_path / "e.mcap")
@@ -344,3 +356,12 @@ def test_csv_names_the_joints(recording: Recording, home: Scene, tmp_path: Path)
     assert [name for name in head if name.startswith("scene.")] == [
         f"scene.joint_pos.{name}" for name in joints_of(home).names
     ]
+
+
+def test_info_names_what_moved(recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_mcap(recording, tmp_path / "e.mcap")
+    assert main(["info", str(tmp_path / "e.mcap")]) == 0
+    assert (
+        f"{len(recording.columns['scene.joint_pos'][0])} of doors and drawers; {DRAWER} moved"
+        in capsys.readouterr().out
+    )
