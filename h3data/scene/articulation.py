@@ -103,9 +103,13 @@ def _displacement(part: Part, by: NDArray[np.float64]) -> NDArray[np.float64]:
     return out
 
 
-@lru_cache(maxsize=256)
 def joints_of(scene: Scene) -> SceneJoints:
     """The joints of a scene, collected once."""
+    return _collected(scene) if scene.articulations else _NONE
+
+
+@lru_cache(maxsize=64)
+def _collected(scene: Scene) -> SceneJoints:
     parts = tuple((thing, part) for thing in scene.articulations for part in thing.parts)
     enclosing: dict[str, tuple[int, ...]] = {}
     for k, (_, part) in enumerate(parts):
@@ -121,6 +125,11 @@ def joints_of(scene: Scene) -> SceneJoints:
         owner={name: k for k, (_, part) in enumerate(parts) for name in part.instances},
         enclosing=enclosing,
     )
+
+
+_NONE = SceneJoints(
+    names=(), parts=(), closed=np.zeros(0), opened=np.zeros(0), rest=np.zeros(0), owner={}, enclosing={}
+)
 
 
 def joint_names(scene: Scene) -> tuple[str, ...]:

@@ -176,12 +176,7 @@ class Openables:
         positions = np.tile(self.positions, (len(way), 1))
         positions[:, k] = way
         motions = self.joints.motions(positions)
-        out = [
-            transform_points(motions[t, j], local).reshape(-1, 3)
-            for j in self._carried(k)
-            for local in (self._samples[j],)
-            for t in range(len(way))
-        ]
+        out = [transform_points(motion, self._samples[j]) for j in self._carried(k) for motion in motions[:, j]]
         every = np.concatenate([np.zeros((0, 3)), *out])
         return every[every[:, 1] < self.floor_y + TALL_M]
 

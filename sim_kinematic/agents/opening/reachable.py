@@ -54,7 +54,7 @@ def within_reach(scene: Scene, receptacle: str, point: Array) -> Reachable | Non
     return Reachable(there, moved, taken, len(needed))
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=64)
 def _opened(scene: Scene, needed: tuple[int, ...]) -> tuple[Scene, Array, NDArray[np.float64]] | None:
     """The home with some parts open, the motions [J, 4, 4] of all parts, and where the open ones stand; None if one of them is
     obstructed, the others being as the scene has them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from sim_kinematic.agents.driven.commands import (
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.opening.openables import Openables
 from sim_kinematic.agents.opening.reachable import within_reach
+from sim_kinematic.agents.opening.skills import Leading, why_not
 from sim_kinematic.agents.skills import ALL_SKILLS, Action, Objects
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.policies.policy import External
@@ -270,6 +272,31 @@ def test_every_way_ends_at_its_end_and_never_turns_back(home: Scene) -> None:
         back = openables.way(k, opens=False)
         assert back[-1] == openables.joints.closed[k]
         openables.move(k, float(back[-1]))
+
+
+def test_nobody_is_hit(home: Scene) -> None:
+    """A part is barred by whoever stands in its way, and waits for whoever comes into it."""
+    openables = openables_of(home)
+    k = openables.joints.index(DRAWER)
+    handle = openables.handles(openables.positions)[k]
+    frame = openables.joints.parts[k][0].pose
+    heading = 2 * np.arctan2(frame[4], frame[6])
+    before = handle + 0.3 * np.array([np.sin(heading), 0, np.cos(heading)])
+    discs = {0: np.zeros((0, 3)), 1: np.array([[before[0], before[2], 0.25]])}
+    openables.discs, openables.agents = discs.__getitem__, 2
+    assert why_not(openables, 0, Action("open", k)) == "blocked"
+    assert why_not(openables, 1, Action("open", k)) == "too_near"
+    leading = Leading(openables, k, opens=True)
+    steps = list(itertools.takewhile(leading.advance, range(len(leading.way))))
+    assert 0 < len(steps) < len(leading.way)
+    held = float(openables.positions[k])
+    while not leading.gave_up:
+        assert not leading.advance(len(steps))
+    assert openables.positions[k] == held
+    discs[1] += [5.0, 0.0, 0.0]
+    assert leading.advance(len(steps))
+    assert why_not(openables, 0, Action("open", k)) == ""
+    assert why_not(None, 0, Action("open", 0)) == "no_joint"
 
 
 def test_moving_there_and_back_brings_things_back(home: Scene) -> None:
