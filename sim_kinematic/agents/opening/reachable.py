@@ -27,8 +27,8 @@ class Reachable(NamedTuple):
     """Where the place is then, shape [3] [m]."""
     taken: NDArray[np.float64]
     """Floor points [P, 2] over which open parts stand."""
-    opened: int
-    """How many parts had to be opened."""
+    opened: tuple[tuple[Openables, int], ...] = ()
+    """The parts that had to be opened, in this order: the home before, and the number of the joint."""
 
 
 def is_drawer(scene: Scene, instance: Instance) -> bool:
@@ -44,27 +44,34 @@ def within_reach(scene: Scene, receptacle: str, point: Array) -> Reachable | Non
     joints = joints_of(scene)
     needed = joints.enclosing.get(receptacle, ())
     if not needed:
-        return Reachable(scene, point, _NOTHING, 0)
+        return Reachable(scene, point, _NOTHING)
     opened = _opened(scene, needed)
     if opened is None:
         return None
-    there, motions, taken = opened
+    there, motions, taken, before = opened
     mover = joints.owner.get(receptacle.partition("|")[0], -1)
     moved = transform_points(motions[mover], point[None])[0] if mover >= 0 else point
-    return Reachable(there, moved, taken, len(needed))
+    return Reachable(there, moved, taken, before)
 
 
 @lru_cache(maxsize=64)
-def _opened(scene: Scene, needed: tuple[int, ...]) -> tuple[Scene, Array, NDArray[np.float64]] | None:
-    """The home with some parts open, the motions [J, 4, 4] of all parts, and where the open ones stand; None if one of them is
-    obstructed, the others being as the scene has them."""
+def _opened(
+    scene: Scene, needed: tuple[int, ...]
+) -> tuple[Scene, Array, NDArray[np.float64], tuple[tuple[Openables, int], ...]] | None:
+    """The home with some parts open, the motions [J, 4, 4] of all parts, where the open ones stand, and the parts with the home
+    before each was opened; None if one of them is obstructed, the others being as the scene has them."""
     joints = joints_of(scene)
-    state = WorldState.zeros(1, robots=0, people=0, scene_joints=len(joints))
-    openables = Openables(scene, Objects((), np.zeros((0, 3)), state), 0.0)
-    state.joint_pos[0] = joints.rest
+    openables, before = _openables(scene, joints.rest), list[tuple[Openables, int]]()
     for k in sorted(needed, key=lambda k: joints.parts[k][1].joint.kind == "prismatic"):  # doors first
         if openables.obstacle(k, opens=True):
             return None
-        state.joint_pos[0, k] = joints.opened[k]
-    positions = state.joint_pos[0].copy()
-    return posed(scene, positions), joints.motions(positions), openables.open_points()
+        before.append((_openables(scene, openables.positions), k))
+        openables.positions[k] = joints.opened[k]
+    positions = openables.positions
+    return posed(scene, positions), joints.motions(positions), openables.open_points(), tuple(before)
+
+
+def _openables(scene: Scene, positions: Array) -> Openables:
+    state = WorldState.zeros(1, robots=0, people=0, scene_joints=len(positions))
+    state.joint_pos[0] = positions
+    return Openables(scene, Objects((), np.zeros((0, 3)), state), 0.0)

@@ -22,14 +22,17 @@ from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.habitat.episodes.stored_rearrangements import EpisodeObject
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from sim_kinematic.agents.driven.object_room import object_extent
-from sim_kinematic.agents.opening.openables import stands_clear
+from sim_kinematic.agents.opening.openables import Openables, stands_clear
 from sim_kinematic.agents.opening.reachable import Reachable, is_drawer, within_reach
+from sim_kinematic.agents.opening.skills import stands_before
 from sim_kinematic.agents.person_clearance import reach_room
+from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robot_arm_clearance import arm_clearance
 from sim_kinematic.agents.roster import AgentSpec, kinds_of, make_roster, sample_places
 from sim_kinematic.agents.stands import nearest_stand, person_stands, robot_fits, robot_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.episode import Episode
@@ -282,6 +285,8 @@ class _Draw:
     surfaces: list[tuple[Instance, Receptacle]]
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
     """A person's, by point."""
+    _openable: dict[int, bool] = field(default_factory=dict)
+    """Whether both agents open a part, by joint."""
 
     def targets(
         self, rng: np.random.Generator, chosen: list[Instance], here: Array, within_m: float, longest_m: float
@@ -346,11 +351,24 @@ class _Draw:
             stands = stands[stands_clear(stands, inside.taken, base.disc_offsets_m, base.disc_radius_m)]
             if not any(clearance.is_clear(stand, inside.point) for stand in stands):
                 continue
-            if self._person_stand(inside)[0] is None:
+            if self._person_stand(inside)[0] is None or not all(self._both_open(*part) for part in inside.opened):
                 continue
             taken.append((point, radius))
             return point, f"{instance.name}|{receptacle.name}"
         return None
+
+    def _both_open(self, openables: Openables, joint: int) -> bool:
+        """Whether both agents find a stand from which they open a part."""
+        if joint not in self._openable:
+            handle = openables.handles(openables.positions)[joint]
+            base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
+            people = np.concatenate([person_stands(self.free, self.human, handle, hand) for hand in HANDS])
+            robots = robot_stands(floor_of(self.robot, base, self.scene, self.free), self.robot, base, handle)
+            self._openable[joint] = bool(
+                stands_before(openables, joint, people, discs.offsets_m, discs.radius_m).any()
+                and stands_before(openables, joint, robots, base.disc_offsets_m, base.disc_radius_m).any()
+            )
+        return self._openable[joint]
 
     @cached_property
     def _centers(self) -> Array:
@@ -389,7 +407,7 @@ class _Draw:
                 stand, length = (None, np.inf) if place is None else self._person_stand(place, here)
                 if place is None or stand is None:
                     return np.inf
-                opened += place.opened
+                opened += len(place.opened)
                 path = walking_path(self.free, *np.array([here, stand[:2]], np.float64), walker)
                 legs = np.diff(path, axis=0)
                 if walker.clearance_m:  # the detour around corners: 6% of the time where there are many

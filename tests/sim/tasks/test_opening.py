@@ -331,7 +331,8 @@ def test_doors_shut_off_what_is_behind_them_until_they_are_open(home: Scene) -> 
 def test_both_door_and_rack_are_opened_door_first(home: Scene) -> None:
     found = within_reach(home, "dishwasher_0/rack|rack", np.array([0.0, 1.0, 0.0]))
     assert found is not None
-    assert found.opened == 2
+    assert [openables.joints.names[k] for openables, k in found.opened] == ["dishwasher_0/door", "dishwasher_0/rack"]
+    assert [openables.is_open(found.opened[0][1]) for openables, _ in found.opened] == [False, True]
     openables = openables_of(home)
     rack = next((i, r) for i, r in home.receptacles() if r.name == "rack")
     foot = (rack[0].pose[:3]) + np.array([0, rack[1].center[1], 0])
