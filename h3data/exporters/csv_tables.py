@@ -14,8 +14,9 @@ import numpy as np
 
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
-from h3data.recording.records import Agent, Recording
+from h3data.recording.records import JOINTS, Agent, Recording
 from h3data.recording.schema import episode_to_dict
+from h3data.scene import joint_names, load_scene
 
 FILES = (
     "steps.csv", "object_pose.csv", "bodies.csv", "agents.csv", "skills.csv", "events.csv", "inputs.csv", "columns.npz",
@@ -93,6 +94,9 @@ def _steps(recording: Recording, time_s: np.ndarray) -> tuple[list[str], Iterabl
         if name == "object_pose" or flat.shape[1] > _WIDEST:
             continue
         labels = _labels(name, flat.shape[1], values.ndim == 1, recording.agents)
+        if name == JOINTS and "scene.glb" in recording.attachments:
+            joints = joint_names(load_scene(recording.attachments["scene.glb"]))
+            labels = [f"{name}.{joint}" for joint in joints] if len(joints) == flat.shape[1] else labels
         head += labels
         columns += [_texts(flat[:, k]) for k in range(len(labels))]
     return head, ([column[k] for column in columns] for k in range(len(recording)))
@@ -108,7 +112,7 @@ def _labels(name: str, width: int, scalar: bool, agents: Sequence[Agent]) -> lis
     if owner.startswith("agent_") and number.isdecimal() and int(number) < len(agents):
         agent = agents[int(number)]
         names = {"joint_pos": agent.joint_names, "action": agent.action_names}.get(kind, ())
-    if width == 7 and len(names) != 7:
+    if width == 7 and len(names) != 7 and name != JOINTS:
         names = _POSE7
     if len(names) != width:
         names = [str(k) for k in range(width)]

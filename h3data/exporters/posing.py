@@ -25,7 +25,7 @@ from h3data.mesh.glb_write import Influences
 from h3data.recording import Body
 from h3data.render import OPENGL_TO_OPENCV
 from h3data.replay.cameras import THIRD_PERSON, camera_names, camera_track
-from h3data.replay.records import LinkTrack, PersonTrack, RigTrack
+from h3data.replay.records import JointTrack, LinkTrack, PersonTrack, RigTrack
 from h3data.replay.replay import Replay
 
 _ROOT_OF_PERSON = np.array([0, HUMAN_ROOT_HEIGHT_M, 0, *quat_from_heading(np.pi / 2)])
@@ -50,6 +50,9 @@ def posed_parts(replay: Replay, steps: NDArray[np.integer] | None = None) -> lis
         else:
             assert body is not None
             poses, scale = _poses_of_body(replay, body, steps), body.scale.astype(np.float64)
+            if isinstance(track, JointTrack):
+                motions = replay.joint_motions(steps)[:, track.joint]
+                poses = _poses(motions @ pose_to_matrix(body.pose.astype(np.float64)))
             if isinstance(track, RigTrack):
                 skeleton = _skeleton_of_rig(replay, track, steps, poses, scale)
         parts.append(

@@ -22,6 +22,8 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 ``agent_<i>.joint_quat``  float32 [T,54,4] free-form humanoids only: local rotations without the pelvis, SMPL-X order
 ``agent_<i>.action``      float32 [T,A] low-level action that led to this row, named in ``Agent.action_names``
 ``agent_<i>.skill``       int32 [T]     running high-level skill, an index into ``Agent.skill_names``, -1 for none
+``scene.joint_pos``       float32 [T,J] positions of the home's doors and drawers [rad or m], in the order of
+                                        `h3data.scene.joint_names`; only where there are any
 ``metrics.<name>``        float32 or bool [T]  per-step scalars, e.g. ``dist_agents``, ``collision``
 ``input.user_<u>.<name>`` any           what a program made of a person's input at a step; not state
 ``sim.<name>``            any           further state that the simulator needs to continue from a step
@@ -41,8 +43,11 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 
-SCHEMA_VERSION = "1.6"
+SCHEMA_VERSION = "1.7"
 """Additive changes raise the second number; readers refuse a newer first number."""
+
+JOINTS = "scene.joint_pos"
+"""The column with the positions of a home's doors and drawers."""
 
 PLANTED_SINCE = (1, 5)
 """Schema version since which people walk with planted feet (`h3data.bodies.people.planted_gait`)."""

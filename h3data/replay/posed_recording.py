@@ -20,11 +20,13 @@ from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording
+from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode
 from h3data.replay.link_poses import LinkPoses
 from h3data.replay.records import (
     BodyTrack,
     Drawable,
+    JointTrack,
     LinkTrack,
     PersonTrack,
     RigTrack,
@@ -32,6 +34,7 @@ from h3data.replay.records import (
     Track,
 )
 from h3data.scene import Mesh, Scene, load_scene
+from h3data.scene.articulation import SceneJoints, joints_of
 
 
 class PosedRecording:
@@ -83,6 +86,7 @@ class PosedRecording:
         self._assets: dict[str, Mesh | None] = {}
         self.missing: dict[str, int] = {}
         """Number of bodies that refer to each asset file that was not found."""
+        self._joints = _recorded_joints(recording, self.scene)
         refs = {ref.name: ref for ref in recording.assets}
         rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}
         for body in recording.bodies:
@@ -115,6 +119,8 @@ class PosedRecording:
             self._assets[ref.name] = self.library.mesh(ref)
         mesh = self._assets[ref.name]
         missing = mesh is None
+        joint = -1 if self._joints is None or body.moving >= 0 else self._joints.owner.get(body.name, -1)
+        track: Track | None = JointTrack(joint) if joint >= 0 else None
         if mesh is None:
             mesh = self.library.placeholder(ref, body)
             self.missing[ref.uri] = self.missing.get(ref.uri, 0) + 1
@@ -126,10 +132,10 @@ class PosedRecording:
                 layer=body.layer,
                 semantic_id=body.semantic_id,
                 agent=body.agent,
-                moving=body.moving >= 0,
+                moving=body.moving >= 0 or track is not None,
                 placeholder=missing,
             ),
-            BodyTrack(body.moving, body.scale) if body.moving >= 0 else None,
+            BodyTrack(body.moving, body.scale) if body.moving >= 0 else track,
         )
 
     def _add_rigged(self, body: Body, ref: AssetRef, rig: Mapping[str, Any]) -> bool:
@@ -253,7 +259,17 @@ class PosedRecording:
             return out
         if isinstance(track, LinkTrack):
             return self.link_track(track.agent, track.link, rows)
+        if isinstance(track, JointTrack):
+            motions = self.joint_motions(rows)[:, track.joint]
+            return (motions @ self._drawables[index].matrix).astype(np.float32)
         return np.broadcast_to(self._drawables[index].matrix.astype(np.float32), (len(rows), 4, 4))
+
+    def joint_motions(self, steps: NDArray[np.integer]) -> Array:
+        """World matrices [T, J, 4, 4] by which the joints of the home have moved things from where ``recording.bodies`` has
+        them, at ``steps``; J = 0 where nothing opens."""
+        if self._joints is None:
+            return np.zeros((len(steps), 0, 4, 4))
+        return self._joints.motions(self.recording.columns[JOINTS][steps].astype(np.float64))
 
     def joint_matrices(self, agent: int, steps: NDArray[np.integer]) -> NDArray[np.floating]:
         """World matrices of a person's 55 joints at ``steps``, shape [T, 55, 4, 4]."""
@@ -358,6 +374,20 @@ class PosedRecording:
             for i, agent in enumerate(self.recording.agents)
         }
         return State(step, float(columns["time_ns"][step]) * 1e-9, poses, agents)
+
+
+def _recorded_joints(recording: Recording, scene: Scene | None) -> SceneJoints | None:
+    """The joints of the home whose positions were recorded; None if there are none.
+
+    Raises:
+        FormatError: the recording has another number of them than the home.
+    """
+    if scene is None or JOINTS not in recording.columns:
+        return None
+    joints, shape = joints_of(scene), recording.columns[JOINTS].shape[1:]
+    if shape != (len(joints),):
+        raise FormatError(f"Expected {JOINTS} [T, {len(joints)}], one for each joint of the scene, got [T, *{shape}].")
+    return joints
 
 
 def _matrix(body: Body) -> Array:

@@ -70,7 +70,15 @@ class RigTrack:
     skin: SkinnedMesh
 
 
-Track = BodyTrack | LinkTrack | PersonTrack | RigTrack
+@dataclass(frozen=True)
+class JointTrack:
+    """A door, a drawer or what lies in it, which moves with a joint of the home."""
+
+    joint: int
+    """Column of ``scene.joint_pos``."""
+
+
+Track = BodyTrack | LinkTrack | PersonTrack | RigTrack | JointTrack
 
 
 @dataclass(frozen=True, eq=False)

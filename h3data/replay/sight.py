@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.render import Renderer, look_at, pinhole
-from h3data.replay.records import BodyTrack
+from h3data.replay.records import BodyTrack, JointTrack
 from h3data.replay.replay import Replay
 
 CARRIED_M = 0.6
@@ -36,6 +36,8 @@ class Sight:
                 size = np.ptp(np.asarray(drawable.mesh.bounds), axis=0) * np.abs(track.scale)
                 if size.max() < CARRIED_M:
                     continue
+                moving.append(index)
+            if isinstance(track, JointTrack):
                 moving.append(index)
             hidden[index] = False
         self._moving = np.array(moving, np.intp)

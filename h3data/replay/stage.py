@@ -21,7 +21,7 @@ from h3data.render.light.bake import lit_scene
 from h3data.render.light.field import capsule_of_box
 from h3data.render.light.sources import sources_of
 from h3data.replay.posed_recording import PosedRecording
-from h3data.replay.records import BodyTrack, CameraTrack, LinkTrack, PersonTrack
+from h3data.replay.records import BodyTrack, CameraTrack, JointTrack, LinkTrack, PersonTrack
 from h3data.replay.shadow_casters import ShadowCasters, shadow_casters
 from h3data.scene import Mesh
 
@@ -84,8 +84,10 @@ class Stage:
     def _bake(self) -> None:
         """Replaces static meshes by ones that carry the light of the scene."""
         static = [
-            k for k, track in enumerate(self.replay.tracks) if track is None and not self.replay.drawables[k].moving
-        ]
+            k
+            for k, track in enumerate(self.replay.tracks)
+            if isinstance(track, JointTrack) or (track is None and not self.replay.drawables[k].moving)
+        ]  # doors carry the light that they have where the home has them, which is closed
         scene = self.replay.scene
         name = scene.name if scene is not None else "this recording's scene"
         lit = lit_scene(self._meshes, self._instances, static, sources_of(scene), name=name)
@@ -134,6 +136,10 @@ class Stage:
         self._columns = np.array([t.column for _, t in bodies], np.intp)
         self._scales = np.array([t.scale for _, t in bodies], np.float64).reshape(-1, 1, 3)
         links = [(i, t) for i, t in tracks if isinstance(t, LinkTrack)]
+        parts = [(i, t.joint) for i, t in tracks if isinstance(t, JointTrack)]
+        self._parts = np.array([i for i, _ in parts], np.intp)
+        self._part_joints = np.array([joint for _, joint in parts], np.intp)
+        self._part_matrices = np.array([self.replay.drawables[i].matrix for i, _ in parts]).reshape(-1, 4, 4)
         self._robots = [
             (agent, np.array([i for i, t in links if t.agent == agent]), [t.link for _, t in links if t.agent == agent])
             for agent in sorted({t.agent for _, t in links})
@@ -168,6 +174,9 @@ class Stage:
             renderer.set_transforms(self._bodies, matrices)
             rigid.append((self._bodies, matrices))
         rows = np.array([step])
+        if len(self._parts):
+            motions = self.replay.joint_motions(rows)[0, self._part_joints]
+            renderer.set_transforms(self._parts, motions @ self._part_matrices)
         for agent, instances, links in self._robots:
             matrices = self.replay.link_matrices(agent, rows)[0, links]
             renderer.set_transforms(instances, matrices)

@@ -22,8 +22,10 @@ from h3data.bodies.people.foot_planting import LEG_JOINTS, runs, sole_points
 from h3data.errors import H3DataError
 from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Recording, state_hash
+from h3data.recording.records import JOINTS
 from h3data.replay.replay import Replay
-from h3data.scene import FreeSpace
+from h3data.scene import FreeSpace, load_scene
+from h3data.scene.articulation import joints_of
 
 Check = Literal[
     "unreadable", "schema", "time", "values", "quaternions", "hash", "jumps", "penetration", "feet", "assets", "video"
@@ -38,6 +40,8 @@ AGENT_MPS, OBJECT_MPS = 10.0, 25.0
 """Largest plausible speeds of agents and carried objects [m/s]; anything faster was teleported."""
 TURN_RAD, JOINT_RAD = 2.1, 1.6
 """Largest rotation of an object or agent, and of a joint, from one step to the next [rad]."""
+LIMIT_SLACK = 1e-4
+"""Tolerated distance of a door or drawer from the limits of its joint [rad or m]."""
 WALL_M = 0.02
 """Tolerated depth of an agent's root inside an obstacle: the error of the distance grid [m]."""
 APART_M = 0.15
@@ -93,6 +97,7 @@ def _schema(rec: Recording) -> Iterator[Finding]:
     for name, kind, shape in (("object_pose", "float32", (moving, 7)), ("state_hash", "uint64", ())):
         if name in rec.columns and not _is(rec.columns[name], kind, shape):
             yield wrong(name, _expected(rec.columns[name], kind, shape))
+    yield from _joints(rec)
     for name, array in rec.columns.items():
         match = _AGENT.match(name)
         if match is None:
@@ -137,6 +142,28 @@ def _schema(rec: Recording) -> Iterator[Finding]:
                 f"skill {span.name}",
                 f"steps {span.start_step} to {span.end_step} of agent {span.agent} are not in this recording",
             )
+
+
+def _joints(rec: Recording) -> Iterator[Finding]:
+    """Positions of doors and drawers that do not fit the attached scene."""
+    array = rec.columns.get(JOINTS)
+    if array is None:
+        return
+    if "scene.glb" not in rec.attachments:
+        yield _error("schema", JOINTS, "there is no attached scene whose joints these are")
+        return
+    try:
+        joints = joints_of(load_scene(rec.attachments["scene.glb"]))
+    except H3DataError:
+        return  # reported where the scene is
+    if not _is(array, "float32", (len(joints),)):
+        yield _error("schema", JOINTS, _expected(array, "float32", (len(joints),)))
+        return
+    low, high = (np.array([getattr(part.joint, side) for _, part in joints.parts]) for side in ("lower", "upper"))
+    beyond = (array < low - LIMIT_SLACK) | (array > high + LIMIT_SLACK)
+    for k in np.flatnonzero(beyond.any(0)).tolist():
+        text = f"{array[np.argmax(beyond[:, k]), k]:.3f} is beyond its limits {low[k]:.3f} to {high[k]:.3f}"
+        yield _warning("values", joints.names[k], text, at=beyond[:, k])
 
 
 def _is_json(text: str) -> bool:

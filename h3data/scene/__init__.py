@@ -1,6 +1,7 @@
 """Homes: their furniture and objects, procedural generation, and the floor that agents can walk on.
 
 - `records`: assets, instances, rooms, lights; `scene_file` stores them as GLB, `scene_json` as JSON records and a digest
+- `articulation`: poses of doors and drawers, and of scenes in which they are open
 - `homes`: the generator of furnished homes
 - `freespace`: geodesic distances and paths on the free floor
 - `scene_sets`: train, val and test splits of scenes
@@ -16,16 +17,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from h3data.mesh.mesh import Mesh, Texture
+    from h3data.scene.articulation import joint_names, opened, posed
     from h3data.scene.freespace.free_space import FreeSpace
     from h3data.scene.homes import CATEGORIES, HOME_PRESETS, HomePreset, HomeSpec, build_home
     from h3data.scene.records import (
+        Articulation,
         Asset,
         Box,
         Capsule,
         Cylinder,
         Hull,
         Instance,
+        Joint,
         LightSource,
+        Part,
         Receptacle,
         Room,
         Scene,
@@ -38,10 +43,11 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "h3data.mesh.mesh": "Mesh Texture",
+    "h3data.scene.articulation": "joint_names opened posed",
     "h3data.scene.freespace.free_space": "FreeSpace",
     "h3data.scene.homes": "CATEGORIES HOME_PRESETS HomePreset HomeSpec build_home",
-    "h3data.scene.records": "Asset Box Capsule Cylinder Hull Instance LightSource Receptacle Room Scene Shape "
-    "instance_bounds instance_matrix",
+    "h3data.scene.records": "Articulation Asset Box Capsule Cylinder Hull Instance Joint LightSource Part "
+    "Receptacle Room Scene Shape instance_bounds instance_matrix",
     "h3data.scene.scene_file": "load_scene save_scene",
     "h3data.scene.scene_json": "scene_digest",
 }
@@ -50,6 +56,7 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 __all__ = [
     "CATEGORIES",
     "HOME_PRESETS",
+    "Articulation",
     "Asset",
     "Box",
     "Capsule",
@@ -59,8 +66,10 @@ __all__ = [
     "HomeSpec",
     "Hull",
     "Instance",
+    "Joint",
     "LightSource",
     "Mesh",
+    "Part",
     "Receptacle",
     "Room",
     "Scene",
@@ -69,7 +78,10 @@ __all__ = [
     "build_home",
     "instance_bounds",
     "instance_matrix",
+    "joint_names",
     "load_scene",
+    "opened",
+    "posed",
     "save_scene",
     "scene_digest",
 ]

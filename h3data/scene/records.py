@@ -1,10 +1,11 @@
-"""Records of a scene: assets (meshes, collision parts, receptacles), their instances in the world, rooms, lights."""
+"""Records of a scene: assets (meshes, collision parts, receptacles), their instances in the world, things that open, rooms,
+lights."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,6 +122,91 @@ class Room:
     floor_y: float = 0.0
 
 
+# --- things that open --------------------------------------------------------------------------------------------------
+JointKind = Literal["revolute", "prismatic"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joint:
+    """How a part of an articulated thing moves: about or along an axis. Its position 0 is closed, as in Habitat.
+
+    Axis and origin are in the frame of the thing, with all joints at ``rest``.
+    """
+
+    kind: JointKind
+    axis: NDArray[np.float64]
+    """Direction; a ``revolute`` joint turns about it by the right-hand rule. Shape [3], made a unit vector."""
+    lower: float
+    """Limits [rad or m]."""
+    upper: float
+    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    """A point on the axis, shape [3] [m]; a ``prismatic`` joint needs none."""
+    rest: float = 0.0
+    """Position at which instances have the poses that the scene gives [rad or m]."""
+
+    def __post_init__(self) -> None:
+        axis, origin = (np.asarray(v, np.float64) for v in (self.axis, self.origin))
+        numbers = (self.lower, self.upper, self.rest)
+        if self.kind not in get_args(JointKind):
+            raise SceneError(f"Unknown kind of joint {self.kind!r}. Expected one of: {', '.join(get_args(JointKind))}.")
+        if axis.shape != (3,) or not np.isfinite(axis).all() or not np.any(axis):
+            raise SceneError(f"The axis of a joint must be 3 finite numbers, not all 0; got {axis.tolist()}.")
+        if origin.shape != (3,) or not np.isfinite(origin).all():
+            raise SceneError(f"The origin of a joint must be 3 finite numbers; got {origin.tolist()}.")
+        if not np.isfinite(numbers).all():
+            raise SceneError(f"Limits and rest position of a joint must be finite; got {numbers}.")
+        if self.lower == self.upper:
+            raise SceneError(f"A joint with equal limits ({self.lower:g}) cannot move. Hint: make its part fixed.")
+        if self.lower > self.upper:
+            raise SceneError(f"The limits of a joint are reversed: lower {self.lower:g} is above upper {self.upper:g}.")
+        if not self.lower <= self.rest <= self.upper:
+            raise SceneError(
+                f"The rest position of a joint, {self.rest:g}, is outside its limits {self.lower:g} to {self.upper:g}."
+            )
+        length = float(np.linalg.norm(axis))  # a unit vector stays as it is, to the bit
+        object.__setattr__(self, "axis", axis if abs(length - 1.0) < 1e-12 else axis / length)
+        object.__setattr__(self, "origin", origin)
+
+    @property
+    def closed(self) -> float:
+        """The position nearest to 0 [rad or m]."""
+        return min(max(0.0, self.lower), self.upper)
+
+    @property
+    def opened(self) -> float:
+        """The limit farther from `closed` [rad or m]."""
+        return self.upper if self.upper - self.closed >= self.closed - self.lower else self.lower
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """A moving part of an articulated thing: a door or a drawer, with what it carries."""
+
+    name: str
+    """Unique in the thing; ``thing/part`` is the name of the joint in the scene."""
+    joint: Joint
+    instances: tuple[str, ...]
+    """Instances that move with the joint: the part's own, and things that lie on it in the scene."""
+    parent: str = ""
+    """Name of the part to which this one is hinged; empty: the body of the thing, which stands still."""
+    encloses: tuple[str, ...] = ()
+    """Receptacles (``instance|receptacle``) that are out of reach unless the part is open."""
+    handle: NDArray[np.float64] | None = None
+    """Where a hand takes hold, in the frame of the thing with all joints at rest, shape [3] [m]; None: nobody said."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Articulation:
+    """A thing with moving parts, such as a fridge. Parts come after the parts that carry them."""
+
+    name: str
+    pose: NDArray[np.float64]
+    """pose7 of the frame of the thing in the world, shape [7]; metres, without any scale."""
+    parts: tuple[Part, ...]
+    base: str = ""
+    """The instance that stands still; empty if there is none."""
+
+
 LightKind = Literal["point", "directional", "spot"]
 LightFrame = Literal["global", "camera", "object"]
 
@@ -155,6 +241,8 @@ class Scene:
     """None if the source says nothing about light; empty if there are no lamps (Habitat then shows flat colours)."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """How to obtain the scene again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}``, or Habitat's files."""
+    articulations: tuple[Articulation, ...] = ()
+    """Things that open; `h3data.scene.articulation` poses them."""
 
     def __post_init__(self) -> None:
         unknown = sorted({i.asset for i in self.instances} - set(self.assets))
@@ -164,6 +252,8 @@ class Scene:
         if len(set(names)) != len(names):
             repeated = sorted({n for n in names if names.count(n) > 1})
             raise SceneError(f"Scene {self.name!r}: instance names must be unique, these are not: {repeated[:5]}.")
+        if self.articulations and (fault := _articulation_fault(self)):
+            raise SceneError(f"Scene {self.name!r}: {fault}.")
 
     @property
     def static_instances(self) -> tuple[Instance, ...]:
@@ -190,6 +280,38 @@ class Scene:
             f"Scene({self.name!r}, {len(self.assets)} assets, {len(self.instances)} instances, {triangles} triangles, "
             f"{len(self.rooms)} rooms)"
         )
+
+
+def _articulation_fault(scene: Scene) -> str:
+    """The first fault of the scene's articulated things, or nothing."""
+    names, moved = {i.name for i in scene.instances}, set[str]()
+    if len({a.name for a in scene.articulations}) < len(scene.articulations):
+        return "articulated things must have different names"
+    for thing in scene.articulations:
+        if np.shape(thing.pose) != (7,) or not np.isfinite(thing.pose).all():
+            return f"the pose of {thing.name!r} must be 7 finite numbers"
+        if not thing.parts:
+            return f"{thing.name!r} has no moving parts"
+        if thing.base and thing.base not in names:
+            return f"the base of {thing.name!r} is no instance: {thing.base!r}"
+        before: set[str] = set()
+        for part in thing.parts:
+            joint = f"{thing.name}/{part.name}"
+            if part.name in before:
+                return f"two parts are called {joint!r}"
+            if part.parent and part.parent not in before:
+                return f"{joint!r} hangs on {part.parent!r}, which is no part before it"
+            if unknown := sorted(set(part.instances) - names):
+                return f"{joint!r} moves instances that do not exist: {unknown[:5]}"
+            if twice := sorted(
+                moved.intersection((*part.instances, thing.base)) | ({thing.base} & set(part.instances))
+            ):
+                return f"{joint!r} moves what another part moves or what stands still: {twice[:5]}"
+            if part.handle is not None and (np.shape(part.handle) != (3,) or not np.isfinite(part.handle).all()):
+                return f"the handle of {joint!r} must be 3 finite numbers"
+            before.add(part.name)
+            moved |= set(part.instances)
+    return ""
 
 
 def instance_matrix(instance: Instance) -> NDArray[np.float64]:

@@ -41,9 +41,11 @@ from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.png import png_pixels
 from h3data.scene.records import Asset, Instance, Scene
 from h3data.scene.scene_json import (
+    articulation_record,
     asset_record,
     instance_record,
     light_record,
+    read_articulation,
     read_asset,
     read_instance,
     read_light,
@@ -53,8 +55,9 @@ from h3data.scene.scene_json import (
 from h3data.srgb import bytes_to_linear
 
 FORMAT_NAME = "h3data.scene"
-FORMAT_VERSION = (1, 1)
-"""Major, minor. A reader refuses a newer major version and ignores unknown fields. 1.1 added textures."""
+FORMAT_VERSION = (1, 2)
+"""Major, minor. A reader refuses a newer major version and ignores unknown fields. 1.1 added textures, 1.2 articulated things;
+a file without them is of 1.1, the same bytes as before."""
 
 _LINEAR, _MIPMAPS = 9729, 9987
 
@@ -169,15 +172,17 @@ def scene_bytes(scene: Scene) -> bytes:
             mesh_of[key] = len(meshes)
             meshes.append({"name": asset.name, "primitives": _primitives(chunk, asset.mesh, accessors)})
     nodes = [_node(i, mesh_of.get(i.asset)) for i in scene.instances]
+    things = [articulation_record(thing) for thing in scene.articulations]
     extras = {
         "format": FORMAT_NAME,
-        "version": list(FORMAT_VERSION),
+        "version": list(FORMAT_VERSION if scene.articulations else (1, 1)),
         "name": scene.name,
         "source": dict(scene.source),
         "rooms": [room_record(r) for r in scene.rooms],
         "assets": records,
         "instances": [instance_record(i) for i in scene.instances],
         **({} if scene.lights is None else {"lights": [light_record(light) for light in scene.lights]}),
+        **({"articulations": things} if things else {}),
     }
     shown = {"name": scene.name, **({"nodes": list(range(len(nodes)))} if nodes else {})}
     lists = {
@@ -302,4 +307,5 @@ def _scene(record: dict[str, Any], arrays: GltfArrays) -> Scene:
         rooms=tuple(read_room(r) for r in record["rooms"]),
         lights=None if (lights := record.get("lights")) is None else tuple(read_light(light) for light in lights),
         source=dict(cast("Mapping[str, Any]", record["source"])),
+        articulations=tuple(read_articulation(thing) for thing in record.get("articulations", ())),
     )

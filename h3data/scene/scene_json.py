@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 
 from h3data.mesh.mesh import Mesh
 from h3data.scene.records import (
+    Articulation,
     Asset,
     Box,
     Capsule,
     Cylinder,
     Hull,
     Instance,
+    Joint,
     LightFrame,
     LightKind,
     LightSource,
+    Part,
     Receptacle,
     Room,
     Scene,
@@ -164,6 +167,66 @@ def read_light(record: dict[str, Any]) -> LightSource:
     )
 
 
+def articulation_record(thing: Articulation) -> dict[str, Any]:
+    """An articulated thing as plain JSON."""
+    return {
+        "name": thing.name,
+        "pose": floats(thing.pose),
+        "base": thing.base,
+        "parts": [
+            {
+                "name": part.name,
+                "joint": {
+                    "kind": part.joint.kind,
+                    "axis": floats(part.joint.axis),
+                    "origin": floats(part.joint.origin),
+                    "lower": float(part.joint.lower),
+                    "upper": float(part.joint.upper),
+                    "rest": float(part.joint.rest),
+                },
+                "instances": list(part.instances),
+                "parent": part.parent,
+                "encloses": list(part.encloses),
+                "handle": None if part.handle is None else floats(part.handle),
+            }
+            for part in thing.parts
+        ],
+    }
+
+
+def read_articulation(record: dict[str, Any]) -> Articulation:
+    """Inverse of `articulation_record`."""
+    return Articulation(
+        name=str(record["name"]),
+        pose=_array(record["pose"], 7),
+        base=str(record["base"]),
+        parts=tuple(_read_part(part) for part in record["parts"]),
+    )
+
+
+def _read_part(record: dict[str, Any]) -> Part:
+    joint = record.get("joint")
+    if not isinstance(joint, dict):
+        raise ValueError(f"the part {record['name']!r} has no joint")
+    made = Joint(
+        kind=joint["kind"],
+        axis=_array(joint["axis"], 3),
+        origin=_array(joint["origin"], 3),
+        lower=float(joint["lower"]),
+        upper=float(joint["upper"]),
+        rest=float(joint["rest"]),
+    )
+    handle = record.get("handle")
+    return Part(
+        name=str(record["name"]),
+        joint=made,
+        instances=tuple(str(name) for name in record["instances"]),
+        parent=str(record["parent"]),
+        encloses=tuple(str(name) for name in record["encloses"]),
+        handle=None if handle is None else _array(handle, 3),
+    )
+
+
 def read_asset(record: dict[str, Any], mesh: Mesh) -> Asset:
     """Inverse of `asset_record`, given the mesh."""
     return Asset(
@@ -185,7 +248,8 @@ def read_asset(record: dict[str, Any], mesh: Mesh) -> Asset:
 
 # --- digest -----------------------------------------------------------------------------------------------------------
 def scene_digest(scene: Scene) -> str:
-    """SHA-256 (hex) of a scene's content: assets by name, instances in order, rooms, lights.
+    """SHA-256 (hex) of a scene's content: assets by name, instances in order, rooms, lights, things that
+    open.
 
     Independent of files, of the order of assets and of which meshes share a texture. The scene's name and source are not
     content.
@@ -225,4 +289,6 @@ def scene_digest(scene: Scene) -> str:
     feed(json.dumps([room_record(r) for r in scene.rooms]))
     if scene.lights is not None:
         feed(json.dumps([light_record(light) for light in scene.lights]))
+    if scene.articulations:  # scenes without keep the digest they had before there were such things
+        feed(json.dumps([articulation_record(thing) for thing in scene.articulations]))
     return h.hexdigest()

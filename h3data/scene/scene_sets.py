@@ -158,6 +158,7 @@ class _Home(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bathrooms: int | None = None
     clutter: float = 1.0
     density: int = 1
+    articulated: bool = False
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

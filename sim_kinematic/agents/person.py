@@ -15,7 +15,7 @@ judged by where the hand is, unlike in Habitat, which judges by where it was sen
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -81,6 +81,8 @@ REST_CURL, OPEN_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 1.1, 0.12
 """Bend of each joint of a finger [rad]: in the rest pose; beyond it just before the hand takes something, at most, and by
 which it changes in a step."""
 CLOSES_FROM = 0.8
+HANDLE_CURL = 0.9
+"""Bend of each joint of a finger around a handle [rad]."""
 """Share of the path to a thing from which on a hand closes."""
 HEAD_JOINTS = [JOINT_INDEX["neck"], JOINT_INDEX["head"]]
 LOOK_STEPS, LOOKED_RAD = 10, 0.15
@@ -333,6 +335,36 @@ class Person:
         error = float(np.linalg.norm(self.objects[held.name][:3] - np.asarray(position, np.float64)))
         yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
         return SkillResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
+
+    def lead(self, points: ArrayLike, advance: Callable[[int], bool], hand: Hand = "right") -> Skill:
+        """Take hold of a handle at the first of some world points [T, 3], lead it along the others as far as the arm reaches,
+        and take the hand back. ``advance(k)`` moves what is led to point k in the same step; where it says False, the hand
+        waits. What is led goes on by itself when the hand has let go."""
+        local = self.seen(points)
+        answer = reach(self.body, local[0], hand)
+        if not answer.reached:
+            return _unreached(answer)
+        yield from self._look(np.asarray(points, np.float64)[0])
+        for share in self._move(hand, self._way_out(hand, local[0]), ends=(0.0, 1.0)):
+            self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else HANDLE_CURL
+            yield
+        out = np.flatnonzero(~reacher(self.body, hand).reachable(local))
+        held = int(out[0]) if len(out) else len(local)
+        poses = reach_poses(self.body, local[:held], hand, trunk=np.ones(held), arm=np.ones(held))
+        for k in range(len(local)):
+            waits = True
+            while waits:
+                waits = not advance(k)
+                at = min(k, held - 1)
+                quats = poses.quats[at].copy()
+                self.walk.step(self.base)
+                quats[HEAD_JOINTS] = self.walk.pose()[0][HEAD_JOINTS]
+                self.show("reach", self.with_arms(quats, hand), poses.pelvis[at])
+                yield
+        self._closing.pop(hand, None)
+        self.look_at = None
+        yield from self._move(hand, self._way_out(hand, local[held - 1])[::-1], ends=(1.0, 0.0))
+        return SkillResult(success=True)
 
     # --- how ---------------------------------------------------------------------------------------------------------
     def seen(self, position: ArrayLike) -> Array:

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import Array, ground_pose, heading_from_quat
 from h3data.scene import FreeSpace
+from sim_kinematic.agents.opening.openables import Openables, stands_clear
+from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
 from sim_kinematic.agents.person import Person, SkillResult, Transition
 from sim_kinematic.agents.person import Skill as Motion
 from sim_kinematic.agents.person_clearance import ReachRoom
@@ -75,6 +77,8 @@ class PersonActor:
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
     """Whether the person touches somebody now: then they stay where they were."""
+    openables: Openables | None = None
+    """Doors and drawers; None: nothing opens."""
     path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True
     aside: NDArray[np.float64] | None = None
@@ -121,7 +125,23 @@ class PersonActor:
     def infeasible(self, action: Action) -> str:
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
-        return self.objects.why_not(self.number, action)
+        why = self.objects.why_not(self.number, action)
+        if why or self.openables is None:
+            return why
+        if action.skill in ("open", "close"):
+            return why_not(self.openables, self.number, action) or self._cannot_hold(action.target)
+        if action.skill in ("pick", "place") and self.openables.barrier_of(
+            action.target, at_goal=action.skill == "place"
+        ) >= 0:  # fmt: skip
+            return "closed"
+        return ""
+
+    def _cannot_hold(self, k: int) -> str:
+        """Why no hand gets to a handle from here."""
+        assert self.openables is not None
+        handle = self.openables.handles(self.openables.positions)[k]
+        stand = np.append(self.xz, self.heading)
+        return "" if any(self._reaches(stand, handle, hand) for hand in HANDS) else "out_of_reach"
 
     def start(self, action: Action) -> Skill:
         k = action.target
@@ -130,6 +150,10 @@ class PersonActor:
             self.person.look_at = None
         if action.skill == "wait":
             return self._wait(action.steps)
+        if action.skill == "nav_to_handle":
+            return self._navigate_to_handle(k)
+        if action.skill in ("open", "close"):
+            return self._move_part(k, opens=action.skill == "open")
         if action.skill.startswith("nav"):
             to_goal = action.skill == "nav_to_goal"
             return self._navigate(self.objects.goals[k] if to_goal else self.objects.poses[k, :3], self._hands(k))
@@ -153,7 +177,7 @@ class PersonActor:
         """Walk to where the first of these hands that can reaches a world point [3], and turn to it."""
         gets_there = False
         for hand in hands:
-            stands = person_stands(self.free, self.person.body, point, hand)
+            stands = self._clear_of_open(person_stands(self.free, self.person.body, point, hand))
             for _ in range(AVOIDANCE.patience_steps):
                 if not len(stands) or not crowds(stands, self.others).all():
                     break
@@ -168,12 +192,54 @@ class PersonActor:
             gets_there |= bool(np.isfinite(nearest_stand(self.free, stands, self.xz)[1]))
         else:
             return Ending("failed", "no_room" if gets_there else "no_way")
-        yield from self._walk(stands[k, :2], facing=float(stands[k, 2]))
-        if np.hypot(*(self.xz - stands[k, :2])) > 2 * self.spec.arrive_m:
+        return (yield from self._go_to(stands[k], point))
+
+    def _clear_of_open(self, stands: Array) -> Array:
+        """Those of some stands that are not where a part of the home stands open."""
+        if self.openables is None:
+            return stands
+        return stands[stands_clear(stands, self.openables.open_points(), (0.0,), AVOIDANCE.person.radius_m)]
+
+    def _navigate_to_handle(self, k: int) -> Skill:
+        """Walk to where a hand reaches a handle, if possible along its whole way, and turn to it."""
+        assert self.openables is not None
+        way = handle_way(self.openables, k, full_way(self.openables, k))
+        for hand in HANDS:
+            stands = person_stands(self.free, self.person.body, way[0], hand)
+            stands = stands[stands_before(self.openables, k, stands, (0.0,), AVOIDANCE.person.radius_m)]
+            for last in (len(way) - 1, len(way) // 2, 0):
+                near = stands[[self._reaches(stand, way[last], hand) for stand in stands]] if len(stands) else stands
+                n, left = nearest_stand(self.free, near, self.xz, crowds(near, self.others) if len(near) else None)
+                if np.isfinite(left):
+                    return (yield from self._go_to(near[n], way[0]))
+        return Ending("failed", "no_way")
+
+    def _go_to(self, stand: Array, point: Array) -> Skill:
+        """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
+        yield from self._walk(stand[:2], facing=float(stand[2]))
+        if np.hypot(*(self.xz - stand[:2])) > 2 * self.spec.arrive_m:
             return Ending("failed", "stuck")
         self.person.look_at = point.copy()
-        yield from self._careful(self.person.turn(float(stands[k, 2]), settles=False))
+        yield from self._careful(self.person.turn(float(stand[2]), settles=False))
         return Ending("done")
+
+    def _move_part(self, k: int, *, opens: bool) -> Skill:
+        """Open or close a part, the hand at its handle."""
+        assert self.openables is not None
+        leading = Leading(self.openables, k, opens=opens)
+        stand = np.append(self.xz, self.heading)
+        reached = [hand for hand in HANDS if self._reaches(stand, leading.handles[0], hand)]
+        motion = self._careful(self.person.lead(leading.handles, leading.advance, (reached or [HANDS[0]])[0]))
+        self.yields = False
+        while True:
+            try:
+                next(motion)
+            except StopIteration as end:
+                result = end.value
+                return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
+            if leading.gave_up:
+                return Ending("failed", "blocked")
+            yield
 
     def _walk(self, goal: NDArray, *, facing: float | None = None) -> Generator[None, None, None]:
         """Walk to a floor point [2] without stopping on the way, turning on the spot where it turns (paper 3.1), or in curves

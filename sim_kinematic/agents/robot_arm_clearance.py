@@ -15,11 +15,12 @@ import numpy as np
 from h3data.bodies import Robot
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_to_matrix
 from h3data.scene import Scene
+from h3data.scene.articulation import joints_of
 from h3data.scene.records import Capsule
 from sim_kinematic.agents.arm_contact import arm_links
 from sim_kinematic.agents.hand_reach import hand_target, is_beyond_reach, reach_posture
 from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, shapes_from_capsules
-from sim_kinematic.contact.clearance import scenery_of
+from sim_kinematic.contact.clearance import scenery_of, supports
 
 APPROACH_M = 0.1
 """A robot's hand comes to an object from so far above it and lifts it as high."""
@@ -61,6 +62,9 @@ class ArmClearance:
             _Part(MovingShapes([shape for _, shape in part]), [k for k, _ in part])
             for part in ([*in_hand, (hand, held)], behind)
         )  # fmt: skip
+        joints = joints_of(scene)
+        self._drawers = {name for name, k in joints.owner.items() if joints.parts[k][1].joint.kind == "prismatic"}
+        """What is taken from a drawer is taken from inside it, past its rim."""
         self._ways = _arm_ways(robot)
         self._open: dict[tuple[bytes, bytes], bool] = {}
         self._clear: dict[tuple[bytes, bytes], bool] = {}
@@ -79,8 +83,15 @@ class ArmClearance:
         if not self._scenery.is_near(start, end, LINE_RADIUS_M):
             return True
         line = MovingShapes(shapes_from_capsules(start, end, LINE_RADIUS_M))
-        line.set_transforms(capsule_transforms(start, end))
+        frames = capsule_transforms(start, end)
+        if self._drawers and (inside := self._drawer_of(point)):
+            return not line.touches_along(self._scenery, frames[None], except_for=inside)
+        line.set_transforms(frames)
         return not collide(self._scenery, line)
+
+    def _drawer_of(self, point: Array) -> set[str]:
+        """The drawer in which a world point [3] lies, if there is one."""
+        return supports(self._scenery, point) & self._drawers if self._drawers else set()
 
     def is_clear(self, stand: Array, point: Array) -> bool:
         """Whether, beside that, the arm of a robot that faces the point touches nothing from its resting posture to the one at
@@ -95,8 +106,9 @@ class ArmClearance:
         way = self._way(round(distance, 3), round(float(point[1]) - self._floor_y, 3))
         if way is None:
             return False
+        inside = self._drawer_of(point)
         return not any(
-            part.shapes.touches_along(self._scenery, base @ frames)
+            part.shapes.touches_along(self._scenery, base @ frames, except_for=inside)
             for part, frames in zip((self._hand, self._arm), way, strict=True)
         )
 

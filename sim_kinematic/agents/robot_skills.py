@@ -14,8 +14,10 @@ from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.hand_reach import hand_turn, is_beyond_reach, reach_bearing, reach_posture
+from sim_kinematic.agents.hand_reach import hand_turn, is_beyond_reach, reach_bearing, reach_distances, reach_posture
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
+from sim_kinematic.agents.opening.openables import Openables, stands_clear
+from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
 from sim_kinematic.agents.robot_arm_clearance import ArmClearance, reach_line
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.agents.stands import discs_fit, nearest_stand, robot_stands
@@ -86,6 +88,8 @@ class RobotActor:
     hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
     """The last command of its base, -1..1 of the limits."""
+    openables: Openables | None = None
+    """Doors and drawers; None: nothing opens."""
     arm_goal: Array = field(init=False)
     """Joint positions towards which the arm moves in every step [J]."""
 
@@ -175,6 +179,8 @@ class RobotActor:
     # --- skills -------------------------------------------------------------------------------------------------------
     def infeasible(self, action: Action) -> str:
         why = self.objects.why_not(self.number, action)
+        if not why and self.openables is not None:
+            why = self._barred(self.openables, action)
         if why or action.skill not in ("pick", "place"):
             return why
         if self._posture(self._hand_target(action)) is None:
@@ -184,8 +190,23 @@ class RobotActor:
         is_open = clearance is None or clearance.is_open(np.append(self.xz, self.heading), point)
         return "" if is_open else "no_room"
 
+    def _barred(self, openables: Openables, action: Action) -> str:
+        """Why doors and drawers stand against an action."""
+        k = action.target
+        if action.skill in ("open", "close"):
+            why = why_not(openables, self.number, action)
+            handle = openables.handles(openables.positions)[k]
+            return why or ("" if self._posture(self._hand_at(handle)) is not None else "out_of_reach")
+        if action.skill in ("pick", "place") and openables.barrier_of(k, at_goal=action.skill == "place") >= 0:
+            return "closed"
+        return ""
+
     def start(self, action: Action) -> Skill:
         k = action.target
+        if action.skill == "nav_to_handle":
+            return self._navigate_to_handle(k)
+        if action.skill in ("open", "close"):
+            return self._reach(self._move_part(k, opens=action.skill == "open"))
         if action.skill in PRIMITIVES:
             forward, turn, steps = PRIMITIVES[action.skill]
             return self._move(forward, turn, steps)
@@ -266,6 +287,9 @@ class RobotActor:
         stands = robot_stands(self.free, self.robot, self.base, point)
         if not len(stands):  # with what it carries it cannot turn all around anywhere there: `lift_arm` with a box
             stands = robot_stands(self.free, self.robot, self._empty_base, point)
+        if self.openables is not None:
+            ajar, base = self.openables.open_points(), self.base
+            stands = stands[stands_clear(stands, ajar, base.disc_offsets_m, base.disc_radius_m)]
         k, left = self._stand_with_room(stands, point)
         if not np.isfinite(left):
             gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
@@ -276,6 +300,46 @@ class RobotActor:
         if ending.outcome == "failed" and self.base.maneuvers:
             self._gave_up.append(goal.copy())
         return ending
+
+    def _navigate_to_handle(self, k: int) -> Skill:
+        """Drives to where the hand reaches a handle, if possible along its whole way, and turns for it."""
+        assert self.openables is not None
+        way = handle_way(self.openables, k, full_way(self.openables, k))
+        stands = robot_stands(self.free, self.robot, self.base, way[0])
+        base = self.base
+        stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
+        reach = reach_distances(self.robot, float(way[-1, 1]) - self.free.floor_y)
+        least, most = float(np.min(reach, initial=np.inf)), float(np.max(reach, initial=0.0))
+        ends = np.hypot(*(stands[:, :2] - way[-1, [0, 2]]).T)
+        for near in (stands[(ends >= least) & (ends <= most)], stands):
+            n, left = nearest_stand(self.free, near, self.xz, self._crowded(near) if len(near) else None)
+            if np.isfinite(left):
+                yield from self._fold_arm()
+                return (yield from self.drive_to(near[n, :2], facing=way[0, [0, 2]]))
+        return Ending("failed", "no_way")
+
+    def _move_part(self, k: int, *, opens: bool) -> Skill:
+        """Opens or closes a part: the hand takes its handle and leads it as far as the arm reaches."""
+        assert self.openables is not None
+        leading = Leading(self.openables, k, opens=opens)
+        posture = self._posture(self._hand_at(leading.handles[0]))
+        assert posture is not None, "checked before it starts"
+        yield from self._bring_arm(posture)
+        follows = True
+        for step in range(len(leading.way)):
+            while not leading.advance(step):
+                if leading.gave_up:
+                    return Ending("failed", "blocked")
+                self._step(0.0, 0.0, avoid=False)
+                yield
+            hand = self._hand_at(leading.handles[step])
+            if follows and not is_beyond_reach(self.robot, hand):
+                answer = reach_posture(self.robot, hand, self.arm_goal, restarts=0)
+                follows = bool(answer.reached)
+                self.arm_goal = answer.joint_pos if follows else self.arm_goal
+            self._step(0.0, 0.0, avoid=False)
+            yield
+        return Ending("done")
 
     def drive_to(self, goal: NDArray, *, facing: NDArray | None = None, within_m: float = ARRIVED_M) -> Skill:
         """Drives to within a distance of a floor point [2] and, there, turns until the hand points at ``facing`` [2].
@@ -452,6 +516,11 @@ class RobotActor:
         grip = self.objects.state.grip_pose[0, k]
         turned = pose_multiply(np.append(np.zeros(3), hand_turn(self.robot)), grip)
         return np.concatenate([local[:3] - turned[:3], hand_turn(self.robot)])
+
+    def _hand_at(self, point: NDArray) -> Array:
+        """pose7 of the hand, in the agent root frame, with what it holds things at on a world point [3]."""
+        local = pose_multiply(pose_inverse(self.pose), np.append(point, [0, 0, 0, 1.0]))
+        return np.concatenate([local[:3], hand_turn(self.robot)])
 
     def _posture(self, hand: Array) -> Array | None:
         if is_beyond_reach(self.robot, hand):

@@ -33,20 +33,29 @@ CONTROL = "control"
 """One step of a robot's lower layer: base, arm and hand by `Action.command`."""
 DRIVEN_SKILLS = (*SKILLS, "drop", "hand_over")
 """Skills of a person who is driven from outside, in the order in which their recordings number them."""
+OPENING_SKILLS = ("nav_to_handle", "open", "close")
+"""Skills in homes with things that open; their target is the number of a joint."""
+ALL_SKILLS = (*DRIVEN_SKILLS, *OPENING_SKILLS)
+"""All skills, as recordings in such homes number them."""
 CHOICE_WAIT_STEPS = 5
 """How long `choices` wait."""
 REASONS = {
+    "already_closed": "It is closed already.",
     "already_held": "It is in this agent's hand already.",
+    "already_open": "It is open already.",
     "blocked": "Another agent is in the way.",
+    "closed": "It is in something that is closed.",
     "hand_full": "The hand already holds something.",
     "held_by_other": "Somebody else holds it.",
     "invalid_posture": "It is out of reach from here.",
     "missed": "The hand did not get there.",
+    "no_joint": "There is no such door or drawer.",
     "no_room": "Something is in the way of the arm or the body.",
     "no_space": "There is no space for it: something else is there.",
     "no_support": "There is nothing there to put it on.",
     "no_way": "No path leads to where it can be reached.",
     "not_a_robot": "Things can only be handed over to a robot.",
+    "obstructed": "Something stands before it, or in its way.",
     "not_held": "The hand holds no such thing.",
     "not_of_a_person": "People cannot do this.",
     "out_of_reach": "It is too far away to reach from here.",
@@ -54,6 +63,7 @@ REASONS = {
     "robot_busy": "The robot's hand is not free.",
     "robot_moved": "The robot moved away.",
     "stuck": "There is no getting on.",
+    "too_near": "It would hit whoever opens it: they stand in its way.",
     "too_far": "It is too far away to reach from here.",
 }
 """Sentences for the short words that recordings hold about skills that were refused or failed."""
@@ -69,7 +79,8 @@ class Action(NamedTuple):
 
     skill: str
     target: int = -1
-    """Index of the object (or of the object whose goal it is) of the skills that have one."""
+    """Index of the object (or of the object whose goal it is) of the skills that have one; of
+    `OPENING_SKILLS`, of the joint."""
     steps: int = 30
     """How long ``wait`` waits."""
     command: Any = ()
@@ -119,7 +130,9 @@ class Objects:
     goals: NDArray[np.float64]
     """Shape [K, 3] [m]."""
     state: WorldState
-    """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7]."""
+    """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7], ``joint_pos`` [1, J]."""
+    joints: tuple[str, ...] = ()
+    """Names of the home's doors and drawers."""
 
     @property
     def poses(self) -> NDArray[np.float64]:
@@ -139,8 +152,13 @@ class Objects:
     def why_not(self, agent: int, action: Action) -> str:
         """The pre-conditions that both kinds of actors share."""
         skill, k = action.skill, action.target
-        if skill not in SKILLS:
-            raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILLS)}.")
+        known = (*SKILLS, *OPENING_SKILLS) if self.joints else SKILLS
+        if skill not in known:
+            raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.")
+        if skill in OPENING_SKILLS:
+            if not 0 <= k < len(self.joints):
+                raise InputError(f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.")
+            return "hand_full" if skill != "nav_to_handle" and self.held(agent) >= 0 else ""
         if skill in SKILLS[:4] and not 0 <= k < len(self.names):
             raise InputError(f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.")
         if skill in ("nav_to_object", "pick") and self.held_by[k] not in (NOBODY, agent):

@@ -113,21 +113,25 @@ class WorldState(_Arrays):
     """Number of the agent that holds each object (its index in `agents`), `NOBODY` where none does, shape [W, O]."""
     grip_pose: NDArray[np.float64]
     """pose7 of each held object in the frame of the hand that holds it, shape [W, O, 7]."""
+    joint_pos: NDArray[np.float64]
+    """Positions of the joints of things that open, in the order of the scene, shape [W, J] [rad or m]."""
 
     @classmethod
     def zeros(
-        cls, worlds: int, *, robots: int = 1, people: int = 1, joints: int | Sequence[int] = 0, objects: int = 0
-    ) -> WorldState:
-        """W worlds with everything at the origin, nothing held. ``joints``: of every robot, or one number for each.
+        cls, worlds: int, *, robots: int = 1, people: int = 1, joints: int | Sequence[int] = 0, objects: int = 0,
+        scene_joints: int = 0,
+    ) -> WorldState:  # fmt: skip
+        """W worlds with everything at the origin, nothing held. ``joints``: of every robot, or one number for each;
+        ``scene_joints``: of doors and drawers.
 
         Raises:
             InputError: a number is negative, or there is not one number of joints for each robot.
         """
         each = [joints] * robots if isinstance(joints, int) else list(joints)
-        if len(each) != robots or min(worlds, robots, people, objects, *each) < 0:
+        if len(each) != robots or min(worlds, robots, people, objects, scene_joints, *each) < 0:
             raise InputError(
                 f"Expected numbers of 0 or more, and one number of joints for each robot; got {worlds} worlds, {robots} "
-                f"robots, {people} people, joints {joints} and {objects} objects."
+                f"robots, {people} people, joints {joints}, {objects} objects and {scene_joints} joints of the scene."
             )
         nowhere = np.tile(IDENTITY_POSE, (worlds, objects, 1))
         return cls(
@@ -136,6 +140,7 @@ class WorldState(_Arrays):
             object_pose=nowhere,
             held_by=np.full((worlds, objects), NOBODY),
             grip_pose=nowhere.copy(),
+            joint_pos=np.zeros((worlds, scene_joints)),
         )
 
     @cached_property
@@ -144,7 +149,7 @@ class WorldState(_Arrays):
         return (*self.robots, *self.people)
 
     def arrays(self) -> list[NDArray[Any]]:
-        own = [self.object_pose, self.held_by, self.grip_pose]
+        own = [self.object_pose, self.held_by, self.grip_pose, self.joint_pos]
         return [array for agent in self.agents for array in agent.arrays()] + own
 
     def take(self, worlds: Worlds) -> WorldState:
@@ -154,4 +159,5 @@ class WorldState(_Arrays):
             object_pose=self.object_pose[worlds],
             held_by=self.held_by[worlds],
             grip_pose=self.grip_pose[worlds],
+            joint_pos=self.joint_pos[worlds],
         )

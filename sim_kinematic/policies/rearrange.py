@@ -51,8 +51,14 @@ class HighLevelPolicy(Protocol):
 
 
 def errand(view: RearrangeView, k: int) -> Action:
-    """The next of the four actions that bring object k to its goal."""
+    """The next of the actions that bring object k to its goal: the four, after those that open what it lies in
+    and what it is to lie in, as long as the hand is free."""
     done = view.action if view.last is not None and view.last.outcome == "done" else None
+    if not (view.held_by == view.agent).any():
+        for at_goal in (True, False):
+            if (joint := view.barrier(k, at_goal)) >= 0:
+                arrived = done is not None and done[:2] == ("nav_to_handle", joint)
+                return Action("open" if arrived else "nav_to_handle", joint)
     came, handle = ("nav_to_goal", "place") if view.held_by[k] == view.agent else ("nav_to_object", "pick")
     return Action(handle if done is not None and (done.skill, done.target) == (came, k) else came, k)
 

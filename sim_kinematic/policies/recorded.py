@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
-from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action
 from sim_kinematic.policies.policy import FunctionPolicy, KeptMoment, Velocity
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
@@ -172,6 +172,8 @@ class RecordedPolicy:
     own: HighLevelPolicy | None = None
     since: int = 0
     """the policy ``own``, which decides since this step; before it somebody else did."""
+    joints: tuple[str, ...] = ()
+    """Names of the doors and drawers of the home."""
     _next: int = 0
     _running: Action = field(default_factory=lambda: Action("wait"))
 
@@ -210,15 +212,16 @@ class RecordedPolicy:
             # of those that were cut short, each waits for another time: an equal action would go on with the last one
             endless = len(self.now) + self._next
             steps = 0 if at_once else lasted if span.outcome == "done" else endless
-            action = Action(span.name, self.objects.index(span.target) if span.target else -1, steps)
+            names = self.joints if span.name in OPENING_SKILLS else self.objects
+            action = Action(span.name, names.index(span.target) if span.target else -1, steps)
         else:
             skill, target = self.now[min(step, len(self.now) - 1)].tolist()
-            action = Action(SKILLS[skill], target, len(self.now) + 1)
+            action = Action(ALL_SKILLS[skill], target, len(self.now) + 1)
         return choice if choice is not None and choice[:2] == action[:2] else action
 
 
 def recorded_choices(
-    recording: Recording, number: int, objects: tuple[str, ...], since: int = 0
+    recording: Recording, number: int, objects: tuple[str, ...], since: int = 0, *, joints: tuple[str, ...] = ()
 ) -> tuple[list[SkillSpan], NDArray]:
     """Skill spans of an agent, and its skills and targets step by step [T, 2], checked; ``since`` is the step before which
     commands from outside decided, whose skills are left out.
@@ -230,23 +233,25 @@ def recorded_choices(
     spans = [span for span in recording.skills if span.agent == number and (not since or span.end_step >= since)]
     now = np.stack([recording.columns[f"agent_{number}.{name}"] for name in ("skill", "skill_target")], axis=-1)
     now[:since] = SKILLS.index("wait"), -1
-    names = {span.name for span in spans} | {SKILLS[c] for c in now[:, 0].tolist() if 0 <= c < len(SKILLS)}
+    known = (*SKILLS, *OPENING_SKILLS) if joints else SKILLS
+    codes = {k: name for k, name in enumerate(ALL_SKILLS) if name in known}
+    names = {span.name for span in spans} | {codes[c] for c in now[:, 0].tolist() if c in codes}
     if CONTROL in names:
         raise InputError(
             f"agent_{number} was driven by its lower layer ({CONTROL}), whose commands are not recorded. Expected skills only."
         )
-    targets = now[:, 1].tolist()
-    strange = names - set(SKILLS) | {span.target for span in spans} - {"", *objects}
-    strange |= {c for c in now[:, 0].tolist() if not 0 <= c < len(SKILLS)} | {
-        k for k in targets if not -1 <= k < len(objects)
-    }
+    strange: set[Any] = names - set(known) | {c for c in now[:, 0].tolist() if c not in codes}
+    strange |= {s.target for s in spans if s.target not in ("", *(joints if s.name in OPENING_SKILLS else objects))}
+    for code, target in now.tolist():
+        most = len(joints) if codes.get(code) in OPENING_SKILLS else len(objects)
+        strange |= set() if -1 <= target < most else {target}
     if strange or now.ndim != 2:
         raise InputError(
             f"Unknown skills or objects of agent_{number}: {', '.join(sorted(map(str, strange))[:5])}. Expected skills: "
-            f"{', '.join(SKILLS[:-1])}; objects: {', '.join(objects)}."
+            f"{', '.join(name for name in known if name != CONTROL)}; objects: {', '.join((*objects, *joints))}."
         )
     for span in spans:
-        if span.name in SKILLS[:4] and not span.target:
+        if span.name in (*SKILLS[:4], *OPENING_SKILLS) and not span.target:
             raise InputError(f"The skill {span.name} of agent_{number} at step {span.start_step} names no object.")
     return spans, now
 

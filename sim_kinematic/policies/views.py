@@ -120,6 +120,9 @@ class RearrangeView(NamedTuple):
     """Its base touched an obstacle in the last step."""
     collision: bool
     """Agents touch now."""
+    barrier: Callable[[int, bool], int] = lambda k, at_goal: -1
+    """Gives the number of the door or drawer that has to be opened first to take an object, or (True) to put it at its goal;
+    -1: none."""
 
     def left_to_do(self) -> list[int]:
         """Objects that are not at their goals and that the other does not hold."""

@@ -222,7 +222,9 @@ def describe(
         episode=record,
         assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
         bodies=task.bodies(episode, scene_bodies(scene)),
-        agents=tuple(_agent(task, *pair) for pair in zip(episode.roster, policies, strict=True)),
+        agents=task.recorded_agents(
+            episode, tuple(_agent(task, *pair) for pair in zip(episode.roster, policies, strict=True))
+        ),
         attachments={"scene.glb": file, **walks},
     )
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.recording import Body, Recording, SkillSpan
+from h3data.recording import Agent, Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene, scene_digest
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster, sample_places
 from sim_kinematic.motion.randomness import generator
@@ -271,6 +271,11 @@ class Task:
         """The recording's bodies: those of the scene, of which a task may say which ones move."""
         del episode
         return bodies
+
+    def recorded_agents(self, episode: Episode, agents: tuple[Agent, ...]) -> tuple[Agent, ...]:
+        """The recording's agents, which may have more to tell in some episodes."""
+        del episode
+        return agents
 
     def instruction(self, episode: Episode) -> str:
         """The task in words, as one would tell it to a robot; recorded in ``info["instruction"]``.

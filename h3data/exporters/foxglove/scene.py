@@ -124,4 +124,4 @@ class FoxgloveScene:
 
 
 def _is_still(part: PosedPart) -> bool:
-    return part.body is not None and part.body.moving < 0
+    return part.body is not None and part.body.moving < 0 and len(part.poses) == 1

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError, SceneError
+from h3data.exporters.habitat.articulated import ArticulatedExport, articulated_instance
 from h3data.exporters.habitat.building import building_parts, parts_by_class, speck
 from h3data.exporters.habitat.lights import SHADER, light_setup
 from h3data.geometry import IDENTITY_POSE, normalized
@@ -138,7 +139,8 @@ class DatasetExport:
     def write(self) -> Path:
         """Writes the folder; returns the path of the dataset's config."""
         files = self._files
-        files.json(self.config.name, {**_dataset_config(), "navmesh_instances": files.navmeshes})
+        opens = {"articulated_objects": {"paths": {".json": ["urdf/*"]}}} if files.articulated else {}
+        files.json(self.config.name, {**_dataset_config(), **opens, "navmesh_instances": files.navmeshes})
         files.json(_LEXICON, {"classes": [{"id": k, "name": v} for k, v in sorted(files.classes.items())]})
         _write(self.folder, files.content, force=self._force)
         return self.config
@@ -151,6 +153,8 @@ class _Files:
     split_building: bool = False
     content: dict[str, bytes] = field(default_factory=dict)
     classes: dict[int, str] = field(default_factory=lambda: {0: "unknown"})
+    articulated: bool = False
+    """Whether anything opens."""
     navmeshes: dict[str, str] = field(default_factory=dict)
     """Paths of the navmeshes by handle."""
     _templates: dict[tuple[int, int], str] = field(default_factory=dict)
@@ -205,9 +209,10 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
             f"category among: {', '.join(sorted(STAGE_CATEGORIES))}."
         )
     objects = _add_stage(files, handle, scene, stage, split=files.split_building)
+    articulated = ArticulatedExport(files.content, _receptacle, _receptacle_key)
     receptacles = {ours: f"stage|{e['name']}" for ours, _, e in _stage_receptacles(scene, stage)}
     counts: dict[str, int] = {}
-    inside = {i.name for i in stage}
+    inside = {i.name for i in stage} | articulated.members(scene)
     for instance in scene.instances:
         asset = scene.assets[instance.asset]
         if instance.name in inside or not len(asset.mesh.faces):
@@ -217,12 +222,23 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
         objects.append(_object_instance(instance, template, asset.category))
         number = counts[template] = counts.get(template, -1) + 1
         receptacles |= {f"{instance.name}|{r.name}": f"{template}_:{number:04d}|{r.name}" for r in asset.receptacles}
+    opening = []
+    for thing in scene.articulations:
+        first = next(i for i in scene.instances if i.name in (thing.base, *thing.parts[0].instances))
+        category, semantic_id = scene.assets[first.asset].category, int(first.semantic_id)
+        files.classes.setdefault(semantic_id, category)
+        template, names = articulated.add(scene, thing, _file_name(category), semantic_id)
+        opening.append(articulated_instance(thing, template))
+        number = counts[template] = counts.get(template, -1) + 1
+        receptacles |= {ours: f"{template}_:{number:04d}|{theirs}" for ours, theirs in names.items()}
+    files.articulated |= bool(opening)
     regions = _region_annotations(scene.rooms)
     filter_file = f"scene_filter_files/{handle}.rec_filter.json"
     instance_file = {
         "translation_origin": "asset_local",
         "stage_instance": {"template_name": f"stages/{handle}.stage_config.json", "translation_origin": "asset_local"},
         "object_instances": objects,
+        **({"articulated_object_instances": opening} if opening else {}),
         "default_lighting": f"lighting/{handle}.lighting_config.json",
         **({"navmesh_instance": handle} if _add_navmesh(files, handle, scene) else {}),
         **({"semantic_scene_instance": f"{handle}.semantic_config.json"} if regions else {}),

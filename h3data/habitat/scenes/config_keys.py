@@ -81,10 +81,10 @@ IGNORED: Mapping[ConfigKind, Mapping[str, str]] = {
     },
     "articulated_instance": {
         "translation_origin": "the pose is always that of the base link's centre of mass, as in habitat-sim",
-        "motion_type": "links stand still where the initial joint positions put them",
-        "fixed_base": "links stand still where the initial joint positions put them",
-        "base_type": "links stand still where the initial joint positions put them",
-        "initial_joint_velocities": "links stand still where the initial joint positions put them",
+        "motion_type": "links move only as agents open and close them",
+        "fixed_base": "links move only as agents open and close them",
+        "base_type": "links move only as agents open and close them",
+        "initial_joint_velocities": "links move only as agents open and close them",
         "inertia_source": _DYNAMICS, "mass_scale": _DYNAMICS, "apply_scale_to_mass": _DYNAMICS,
         "shader_type": _SHADING, "user_defined": _NOTES,
     },
@@ -107,7 +107,7 @@ IGNORED: Mapping[ConfigKind, Mapping[str, str]] = {
         "is_visible": "the instance decides (is_instance_visible)",
     },
     "ao_config": {
-        "base_type": "links stand still where the initial joint positions put them",
+        "base_type": "links move only as agents open and close them",
         "inertia_source": _DYNAMICS, "mass_scale": _DYNAMICS, "shader_type": _SHADING, "marker_sets": _MARKERS,
         "debug_render_primitives": "a debugging view",
     },

@@ -14,9 +14,10 @@ from h3data.errors import MissingAssetError, SceneError
 from h3data.geometry import IDENTITY_POSE, IDENTITY_QUAT, normalized, pose_to_matrix, quat_rotate
 from h3data.habitat.scenes.articulated import initial_positions, link_frames, link_pose, pose_of_links
 from h3data.habitat.scenes.config_values import flag, number, numbers, text, whole_number
+from h3data.habitat.scenes.joints import articulation_of
 from h3data.habitat.scenes.scene_dataset import SceneDataset, Section, Template
 from h3data.habitat.scenes.templates import TemplateReader
-from h3data.scene.records import Instance, LightSource, Motion, Room, Scene
+from h3data.scene.records import Articulation, Instance, LightSource, Motion, Room, Scene
 
 REACH_MAX_M = 1e5
 """How far from the origin [m] things may reach: 100 km, where float32 still tells centimetres."""
@@ -36,6 +37,7 @@ class SceneBuilder:
     instances: list[Instance] = field(default_factory=list)
     rooms: tuple[Room, ...] = ()
     lights: tuple[LightSource, ...] | None = None
+    articulations: list[Articulation] = field(default_factory=list)
     more: dict[str, Any] = field(default_factory=dict)
     """What else ``Scene.source`` says."""
     _counts: dict[str, int] = field(default_factory=dict)
@@ -96,7 +98,7 @@ class SceneBuilder:
         )
 
     def add_articulated(self, template: Template, entry: Mapping[str, Any], *, where: Path) -> None:
-        """An articulated object: one static instance ``<name>/<link>`` per link that is seen or collides."""
+        """An articulated object: one static instance ``<name>/<link>`` per link that is seen or collides, and its joints."""
         self.templates.keys.note("articulated_instance", entry)
         name = self._next_name(template)
         read = self.templates.articulated(template)
@@ -124,17 +126,22 @@ class SceneBuilder:
         frames = link_frames(read.robot, positions, scale=scale)
         frames = pose_of_links(read.robot, base, frames, scale=scale)
         hidden = {**entry, "is_instance_visible": False} if mode == "none" else entry
-        for link, asset in zip(read.links, read.assets, strict=True):
-            self._add(
-                Instance(
-                    name=f"{name}/{link.name}",
-                    asset=self._seen(asset, hidden, where),
-                    pose=link_pose(frames[link.index], link.turn),
-                    scale=np.full(3, scale),
-                    semantic_id=whole_number(read.attributes, "semantic_id", 0, where=template.path),
-                ),
-                where,
+        instances = {
+            link.name: Instance(
+                name=f"{name}/{link.name}",
+                asset=self._seen(asset, hidden, where),
+                pose=link_pose(frames[link.index], link.turn),
+                scale=np.full(3, scale),
+                semantic_id=whole_number(read.attributes, "semantic_id", 0, where=template.path),
             )
+            for link, asset in zip(read.links, read.assets, strict=True)
+        }
+        placed = {link: i for link, i in instances.items() if self._add(i, where)}
+        thing, warnings = articulation_of(name, read.robot, frames, positions, placed, self.templates.assets)
+        for warning in warnings:
+            self.warn(f"{warning}: {where}")
+        if thing is not None and len(placed) == len(instances):
+            self.articulations.append(thing)
 
     def use_navmesh(self, name: str, folder: Path, *, where: Path) -> None:
         """Note the file of the scene's navmesh, if it exists."""
@@ -189,6 +196,7 @@ class SceneBuilder:
             rooms=self.rooms,
             lights=self.lights,
             source=source,
+            articulations=tuple(self.articulations),
         )
 
     def _next_name(self, template: Template) -> str:
@@ -196,16 +204,18 @@ class SceneBuilder:
         count = self._counts[template.handle] = self._counts.get(template.handle, -1) + 1
         return f"{template.handle}_:{count:04d}"
 
-    def _add(self, instance: Instance, where: Path) -> None:
-        """Adds it, unless it is so far away or so large that nothing else in the scene could be told from a point."""
+    def _add(self, instance: Instance, where: Path) -> bool:
+        """Adds it, unless it is so far away or so large that nothing else in the scene could be told from a point; returns
+        whether it did."""
         mesh = self.templates.assets[instance.asset].mesh
         with np.errstate(over="ignore", invalid="ignore"):
             size = np.abs(instance.scale).max() * np.abs(mesh.vertices).max(initial=0).astype(np.float64)
             reach = float(np.abs(instance.pose[:3]).max() + size)
         if reach <= REACH_MAX_M and np.isfinite(instance.pose).all():
             self.instances.append(instance)
-        else:
-            self.warn(f"{instance.name!r} is left out: it reaches {reach:.3g} m from the origin: {where}")
+            return True
+        self.warn(f"{instance.name!r} is left out: it reaches {reach:.3g} m from the origin: {where}")
+        return False
 
     def _pose(
         self, entry: Mapping[str, Any], name: str, where: Path

@@ -16,13 +16,14 @@ from h3data.scene.homes.floors import floor_mesh
 from h3data.scene.homes.furnishing.clutter import clutter, object_assets
 from h3data.scene.homes.furnishing.furniture_living import ceiling_lamp
 from h3data.scene.homes.furnishing.groups import NoRoomError
+from h3data.scene.homes.furnishing.opening.placing import carrying, opening_assets, placed_opening
 from h3data.scene.homes.furnishing.place import Placed, RoomState, room_state
 from h3data.scene.homes.layout import WALL_HEIGHT, Layout, RoomPlan, plan_layout
 from h3data.scene.homes.rooms import FURNISH
 from h3data.scene.homes.solids import subdivided
 from h3data.scene.homes.spec import CATEGORIES, HomeSpec, stage_rng
 from h3data.scene.homes.style import Style, sample_style
-from h3data.scene.records import Asset, Instance, Room, Scene
+from h3data.scene.records import Articulation, Asset, Instance, Room, Scene
 
 _log = logging.getLogger(__name__)
 _ATTEMPTS = 12
@@ -36,6 +37,7 @@ class _Collector:
     def __init__(self) -> None:
         self.assets: dict[str, Asset] = {}
         self.instances: list[Instance] = []
+        self.articulations: list[Articulation] = []
         self._names: dict[int, str] = {}
         self._kinds: dict[str, int] = {}
         self._count: dict[str, int] = {}
@@ -70,6 +72,29 @@ class _Collector:
         )
         self.instances.append(instance)
         return instance
+
+    def opening(self, placed: Placed) -> list[Instance]:
+        """A piece with doors and drawers: its body and its parts."""
+        piece = placed.piece
+        assert piece.opens is not None
+        copies = self._count[f"of {id(piece)}"] = self._count.get(f"of {id(piece)}", -1) + 1
+        opening = piece.opens(copies)
+        number = self._count[opening.kind] = self._count.get(opening.kind, -1) + 1
+        design = self._kinds[opening.kind] = self._kinds.get(opening.kind, -1) + 1
+        model = f"{opening.kind}_model_{design}"
+        self.assets.update(opening_assets(opening, model))
+        heading = placed.quarter * np.pi / 2 + placed.yaw
+        body = Instance(
+            name=f"{opening.kind}_{number}",
+            asset=model,
+            pose=np.concatenate([[placed.x, placed.y, placed.z], quat_from_heading(heading)]),
+            semantic_id=CATEGORIES[piece.category],
+            layer=placed.layer,
+        )
+        parts, thing = placed_opening(opening, body)
+        self.instances += [body, *parts]
+        self.articulations.append(thing)
+        return [body, *parts]
 
 
 def build_home(spec: HomeSpec) -> Scene:
@@ -109,8 +134,9 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
     pieces: list[tuple[Instance, Asset]] = []
     for state in states:
         for placed in state.placed:
-            instance = home.furniture(placed)
-            pieces.append((instance, home.assets[instance.asset]))
+            opens = spec.articulated and placed.piece.opens is not None
+            instances = home.opening(placed) if opens else [home.furniture(placed)]
+            pieces += [(instance, home.assets[instance.asset]) for instance in instances]
     rng = stage_rng(spec, "lamps", attempt)
     lamp = ceiling_lamp(rng, style)
     for room in layout.rooms:
@@ -135,11 +161,12 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
         instances=(*home.instances, *things),
         rooms=rooms,
         source={"kind": "home", "preset": spec.preset, "seed": int(spec.seed), **spec.changes},
+        articulations=carrying(home.articulations, home.instances, home.assets, things),
     )
 
 
 def _name(spec: HomeSpec) -> str:
-    options = "".join(f"_{name}_{value:g}" for name, value in spec.changes.items())
+    options = "".join(f"_{name}" if value is True else f"_{name}_{value:g}" for name, value in spec.changes.items())
     return f"home_{spec.preset}_{int(spec.seed)}{options}"
 
 

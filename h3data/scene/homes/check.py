@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 _HAND_M = 1.1
 """Greatest distance from the centre of a receptacle to walkable floor [m]."""
+_HANGS_M = 1.2
+"""Furniture whose lowest shape is higher is not walked up to [m]."""
 _REACH_SLACK = 0.01
 """Error of the polygons that stand for circles [m]."""
 
@@ -46,6 +48,8 @@ def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]
         asset = scene.assets[instance.asset]
         if not asset.receptacles or instance.pose[1] > 0:
             continue
+        if not any(shape_footprint(s, np.eye(4), HEAD_BAND[0], _HANGS_M) for s in asset.shapes):
+            continue  # it hangs over a counter
         hulls = [shape_footprint(s, np.eye(4), *HEAD_BAND) for s in asset.shapes]
         x0, z0, x1, z1 = shapely.total_bounds([h for h in hulls if h is not None]).tolist()
         front = [(x0, z1), (x1, z1)]

@@ -62,6 +62,9 @@ class HomeSpec:
     density: int = 1
     """Parts into which every triangle edge is cut: density^2 times as many triangles with the same look, to load renderers.
     Collision shapes stay the same."""
+    articulated: bool = False
+    """Whether fridge, cupboards, drawers and a dishwasher open. Rooms and furniture stay the same; small objects lie inside
+    too."""
 
     def __post_init__(self) -> None:
         if self.preset not in get_args(Preset):
@@ -71,6 +74,8 @@ class HomeSpec:
         _check_whole("bedrooms", self.bedrooms, 1, MAX_BEDROOMS)
         _check_whole("bathrooms", self.bathrooms, 1, MAX_BATHROOMS)
         _check_whole("density", self.density, 1, MAX_DENSITY)
+        if not isinstance(self.articulated, bool):
+            raise InputError(f"articulated of a home must be true or false, got {self.articulated!r}.")
         _check_number("clutter", self.clutter, 0.0, MAX_CLUTTER)
         program = self.program
         smallest = min_area_m2(program.bedrooms, program.bathrooms)
@@ -95,7 +100,8 @@ class HomeSpec:
         rooms = {name: getattr(program, name) for name in ("area_m2", "bedrooms", "bathrooms")}
         changed = {name: value for name, value in rooms.items() if value != getattr(preset, name)}
         amounts = {"clutter": float(self.clutter), "density": int(self.density)}
-        return {**changed, **{name: value for name, value in amounts.items() if value != 1}}
+        opens = {"articulated": True} if self.articulated else {}
+        return {**changed, **{name: value for name, value in amounts.items() if value != 1}, **opens}
 
 
 def _check_number(name: str, value: object, low: float, high: float, why: str = "") -> None:
@@ -166,10 +172,10 @@ Stable: append to a block, never reorder, because recorded semantic images conta
 def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generator:
     """Random numbers of one stage, keyed by (seed, preset, rooms, stage, attempt).
 
-    A stage that samples more or fewer numbers therefore leaves the other stages unchanged. `HomeSpec.clutter` and
-    `HomeSpec.density` are not part of the key: they leave rooms and furniture unchanged.
+    A stage that samples more or fewer numbers therefore leaves the other stages unchanged. `HomeSpec.clutter`,
+    `HomeSpec.density` and `HomeSpec.articulated` are not part of the key: they leave rooms and furniture unchanged.
     """
-    rooms = "".join(f"{k}={v!r}/" for k, v in spec.changes.items() if k not in ("clutter", "density"))
+    rooms = "".join(f"{k}={v!r}/" for k, v in spec.changes.items() if k not in ("clutter", "density", "articulated"))
     text = f"h3data.homes/1/{spec.preset}/{rooms}{int(spec.seed)}/{stage}/{attempt}"
     key = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], "<u8").astype(np.uint64)
     return np.random.Generator(np.random.Philox(key=key))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import tyro
 
 from h3data.errors import H3DataError, InputError
 from h3data.recording.finding import find_episodes
+from h3data.recording.records import JOINTS
 from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import JsonFlag, Outcome, counted
 
@@ -114,7 +117,30 @@ def _outcome(recording: Recording) -> list[str]:
     ended, skills = recording.episode.info.get("ended"), Counter(span.outcome for span in recording.skills)
     lines = [f"  ended    {ended}"] if ended else []
     lines += [f"  skills   {', '.join(f'{count} {name}' for name, count in skills.items())}"] if skills else []
-    return lines + _walks(recording) + _players(recording)
+    return lines + _joints(recording) + _walks(recording) + _players(recording)
+
+
+def _joints(recording: Recording) -> list[str]:
+    """A line about doors and drawers, and which of them were moved."""
+    moved = _moved_joints(recording)
+    if moved is None:
+        return []
+    count = recording.columns[JOINTS].shape[1]
+    return [f"  joints   {count} of doors and drawers; {', '.join(moved) if moved else 'none'} moved"]
+
+
+def _moved_joints(recording: Recording) -> list[str] | None:
+    """Names of the joints of the home that moved; None: none were recorded."""
+    positions = recording.columns.get(JOINTS)
+    if positions is None or positions.ndim != 2:
+        return None
+    names: Sequence[str] = ()
+    if "scene.glb" in recording.attachments:
+        from h3data.scene import joint_names, load_scene
+
+        names = joint_names(load_scene(recording.attachments["scene.glb"]))
+    moved = np.flatnonzero((positions != positions[:1]).any(0)).tolist()
+    return [names[k] if k < len(names) else str(k) for k in moved]
 
 
 def _walks(recording: Recording) -> list[str]:
@@ -173,6 +199,7 @@ def _of_recording(recording: Recording) -> dict[str, Any]:
         "slipped": slipped_steps(recording),
         "skill_outcomes": dict(Counter(span.outcome for span in recording.skills)),
         "ended": recording.episode.info.get("ended"),
+        **({} if (moved := _moved_joints(recording)) is None else {"moved_joints": moved}),
         "columns": {name: {"dtype": str(a.dtype), "shape": list(a.shape)} for name, a in recording.columns.items()},
         "attachments": {name: len(data) for name, data in recording.attachments.items()},
     }

@@ -69,7 +69,10 @@ class Job:
             agents = tuple(map(stored_person, self.agents))
             values["agents"] = agents if self.found_task.bodies_in_agents else ",".join(agents)
         values |= {name: rules_dict(values[name]) for name in ("spec", "drawn_with") if values.get(name) is not None}
-        return json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
+        told = json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
+        if isinstance(home := told["source"], dict) and home.get("articulated") is False:
+            del home["articulated"]  # as before homes could open: what was begun then goes on
+        return told
 
     @cached_property
     def found_task(self) -> Task:

@@ -60,7 +60,23 @@ class HandOver:
     """Number of the robot."""
 
 
-Do = Pick | Place | Drop | HandOver
+@dataclass(frozen=True)
+class Open:
+    """Opens a door or drawer whose handle is within reach; the hand must be empty."""
+
+    joint: str | int
+    """Name (``thing/part``), or index among the joints of the home."""
+
+
+@dataclass(frozen=True)
+class Close:
+    """Closes it."""
+
+    joint: str | int
+    """As of `Open`."""
+
+
+Do = Pick | Place | Drop | HandOver | Open | Close
 
 
 @dataclass(frozen=True)
@@ -95,7 +111,7 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
     Raises:
         InputError: it is malformed: unknown object, number out of range or not finite.
     """
-    given: Any = PersonCommand(do=command) if isinstance(command, Pick | Place | Drop | HandOver) else command
+    given: Any = PersonCommand(do=command) if isinstance(command, Do) else command
     do = getattr(given, "do", None)
     if isinstance(do, Pick):
         return Action("pick", _index(do.object, objects))
@@ -105,8 +121,10 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
         return Action("drop", objects.held(agent))
     if isinstance(do, HandOver):
         return Action("hand_over", objects.held(agent), command=(int(do.agent),))
+    if isinstance(do, Open | Close):
+        return Action("open" if isinstance(do, Open) else "close", _joint(do.joint, objects))
     if do is not None:
-        raise InputError(f"Expected Pick, Place, Drop or HandOver, got {do!r}.")
+        raise InputError(f"Expected Pick, Place, Drop, HandOver, Open or Close, got {do!r}.")
     if not hasattr(given, "forward") and np.shape(given) == (2,):
         given = PersonCommand(*given)
     if not (hasattr(given, "forward") and hasattr(given, "turn")):
@@ -154,6 +172,15 @@ def _index(name: str | int, objects: Objects) -> int:
     index = objects.names.index(name) if name in objects.names else name
     if not isinstance(index, int) or not 0 <= index < len(objects.names):
         raise InputError(f"There is no object {name!r} in this task. Expected one of: {', '.join(objects.names)}.")
+    return index
+
+
+def _joint(name: str | int, objects: Objects) -> int:
+    names = objects.joints
+    index = names.index(name) if name in names else name
+    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(names):
+        there = f"Expected one of: {', '.join(names)}." if names else "Nothing in this home opens."
+        raise InputError(f"There is no door or drawer {name!r}. {there}")
     return index
 
 

@@ -82,6 +82,8 @@ class DrivenPerson(PersonActor):
                 return "not_held"
             if skill == "drop":
                 return ""
+            if skill == "place" and self.openables is not None and self.openables.barrier_for(k, _point(action)) >= 0:
+                return "closed"
             return self._cannot_give(action) if skill == "hand_over" else self._cannot_place(k, _point(action))
         return super().infeasible(action)
 
@@ -99,7 +101,7 @@ class DrivenPerson(PersonActor):
         point, held = np.asarray(point, np.float64), self.objects.held(self.number)
         hands: tuple[Hand, ...] = HANDS_TRIED if held < 0 else self._hands(held)
         for hand in hands:
-            stands = person_stands(self.free, self.person.body, point, hand)
+            stands = self._clear_of_open(person_stands(self.free, self.person.body, point, hand))
             k, _ = nearest_stand(self.free, stands, self.xz, None, partial(self._has_room, point=point, hand=hand))
             if k >= 0:
                 return stands[k]

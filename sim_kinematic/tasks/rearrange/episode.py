@@ -22,12 +22,17 @@ from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.habitat.episodes.stored_rearrangements import EpisodeObject
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from sim_kinematic.agents.driven.object_room import object_extent
+from sim_kinematic.agents.opening.openables import Openables, stands_clear
+from sim_kinematic.agents.opening.reachable import Reachable, is_drawer, within_reach
+from sim_kinematic.agents.opening.skills import stands_before
 from sim_kinematic.agents.person_clearance import reach_room
+from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robot_arm_clearance import arm_clearance
 from sim_kinematic.agents.roster import AgentSpec, kinds_of, make_roster, sample_places
 from sim_kinematic.agents.stands import nearest_stand, person_stands, robot_fits, robot_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.episode import Episode
@@ -45,6 +50,8 @@ LIFT_M = 0.001
 """Things float this much over their surface, so that a collision check does not call them stuck in it."""
 HANDLING_S = 4.5
 """What a person is taken to need for one object, beside walking and turning."""
+OPENING_S = 9.0
+"""What a person is taken to need for opening one door or drawer."""
 STANDS_WITHIN_M = 1.0
 """A person stands nearer than this to what they take or put down."""
 SNAP_M = 2.0
@@ -185,7 +192,7 @@ def draw_episode(
     rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
     fits = robot_fits(robot, spec.robot, scene, free)
     movable = _movable(scene, spec)
-    surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m]
+    surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m or is_drawer(scene, i)]
     if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
         raise SceneError(
             f"Rearranging {spec.objects} objects needs as many movable things and open receptacles on two pieces of "
@@ -278,6 +285,8 @@ class _Draw:
     surfaces: list[tuple[Instance, Receptacle]]
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
     """A person's, by point."""
+    _openable: dict[int, bool] = field(default_factory=dict)
+    """Whether both agents open a part, by joint."""
 
     def targets(
         self, rng: np.random.Generator, chosen: list[Instance], here: Array, within_m: float, longest_m: float
@@ -326,6 +335,9 @@ class _Draw:
             x, z = local * (receptacle.half_size - radius / np.abs(instance.scale[[0, 2]]))
             spot = instance_matrix(instance) @ np.append(receptacle.center + np.array([x, 0, z]), 1.0)
             point = spot[:3] + np.array([0, LIFT_M - low, 0])
+            inside = within_reach(self.scene, f"{instance.name}|{receptacle.name}", point)
+            if inside is None or (away_from is not None and is_drawer(self.scene, instance)):
+                continue
             if away_from is not None:
                 if instance.name == away_from[1].partition("|")[0]:
                     continue
@@ -333,16 +345,30 @@ class _Draw:
                     continue
             if any(_overlap(point, radius, *other) for other in taken):
                 continue
-            clearance = arm_clearance(self.scene, self.robot, self.free.floor_y)
+            clearance = arm_clearance(inside.scene, self.robot, self.free.floor_y)
             base = base_of(self.robot, self.spec.robot)
-            stands = robot_stands(floor_of(self.robot, base, self.scene, self.free), self.robot, base, point)
-            if not any(clearance.is_clear(stand, point) for stand in stands):
+            stands = robot_stands(floor_of(self.robot, base, self.scene, self.free), self.robot, base, inside.point)
+            stands = stands[stands_clear(stands, inside.taken, base.disc_offsets_m, base.disc_radius_m)]
+            if not any(clearance.is_clear(stand, inside.point) for stand in stands):
                 continue
-            if self._person_stand(point)[0] is None:
+            if self._person_stand(inside)[0] is None or not all(self._both_open(*part) for part in inside.opened):
                 continue
             taken.append((point, radius))
             return point, f"{instance.name}|{receptacle.name}"
         return None
+
+    def _both_open(self, openables: Openables, joint: int) -> bool:
+        """Whether both agents find a stand from which they open a part."""
+        if joint not in self._openable:
+            handle = openables.handles(openables.positions)[joint]
+            base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
+            people = np.concatenate([person_stands(self.free, self.human, handle, hand) for hand in HANDS])
+            robots = robot_stands(floor_of(self.robot, base, self.scene, self.free), self.robot, base, handle)
+            self._openable[joint] = bool(
+                stands_before(openables, joint, people, discs.offsets_m, discs.radius_m).any()
+                and stands_before(openables, joint, robots, base.disc_offsets_m, base.disc_radius_m).any()
+            )
+        return self._openable[joint]
 
     @cached_property
     def _centers(self) -> Array:
@@ -354,16 +380,19 @@ class _Draw:
         """Length of the way from ``here`` [2] to each surface [S] [m], about."""
         return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
 
-    def _person_stand(self, point: Array, here: Array | None = None) -> tuple[Array | None, float]:
-        """A stand [3] from which the person's hand gets to a point [3] while the body keeps out of the home, the nearest to
+    def _person_stand(self, place: Reachable, here: Array | None = None) -> tuple[Array | None, float]:
+        """A stand [3] from which the person's hand gets to a place while the body keeps out of the home, the nearest to
         ``here`` [2], and the way to it [m]; None and infinity where there is none."""
+        point = place.point
         at = tuple(point.tolist())
         stands = self._stands.get(at)
         if stands is None:
-            stands = self._stands[at] = person_stands(self.free, self.human, point)
+            stands = person_stands(self.free, self.human, point)
+            stands = stands[stands_clear(stands, place.taken, (0.0,), self.spec.agent_radius_m)]
+            self._stands[at] = stands
         if not len(stands):
             return None, np.inf
-        room = reach_room(self.scene, self.human, self.free.floor_y)
+        room = reach_room(place.scene, self.human, self.free.floor_y)
         start = stands[0, :2] if here is None else here
         k, length = nearest_stand(self.free, stands, start, is_clear=lambda stand: room.is_clear(stand, point))
         return (stands[k], length) if k >= 0 else (None, length)
@@ -371,12 +400,14 @@ class _Draw:
     def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:
         """About how long a person alone takes for all objects, one after the other [s]; infinite when there is no way."""
         here, heading = starts.human_xz, starts.human_heading
-        way, turned, walker = 0.0, 0.0, self.spec.human
+        way, turned, opened, walker = 0.0, 0.0, 0, self.spec.human
         for target in targets:
-            for point in (target.start[:3], target.goal):
-                stand, length = self._person_stand(point, here)
-                if stand is None:
+            for point, receptacle in ((target.start[:3], target.source), (target.goal, target.destination)):
+                place = within_reach(self.scene, receptacle, point)
+                stand, length = (None, np.inf) if place is None else self._person_stand(place, here)
+                if place is None or stand is None:
                     return np.inf
+                opened += len(place.opened)
                 path = walking_path(self.free, *np.array([here, stand[:2]], np.float64), walker)
                 legs = np.diff(path, axis=0)
                 if walker.clearance_m:  # the detour around corners: 6% of the time where there are many
@@ -384,7 +415,7 @@ class _Draw:
                 headings = [heading, *np.arctan2(-legs[:, 1], legs[:, 0]), stand[2]]
                 turned += float(np.abs(wrap_angle(np.diff(headings))).sum())
                 here, heading, way = stand[:2], float(stand[2]), way + length
-        pace = way / walker.speed_mps
+        pace = way / walker.speed_mps + OPENING_S * opened
         if walker.stride is None:
             return pace + turned / walker.turn_rad_s + HANDLING_S * len(targets)
         setting_off = walker.speed_mps / 2 * (1 / walker.stride.accel_mps2 + 1 / walker.stride.decel_mps2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import Array, pose_inverse, pose_multiply
 from h3data.recording import Recording
+from h3data.recording.records import JOINTS
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.skills import Action, Ending, Objects, Skill
 from sim_kinematic.motion.state import NOBODY
@@ -33,6 +34,8 @@ class KeptTrack:
     """Index of the object in the hand, -1 = nothing, [T]."""
     objects: Array
     """pose7 of the task's objects, [T, K, 7]."""
+    led: dict[int, list[tuple[int, float]]] = field(default_factory=dict)
+    """Doors and drawers that the person opened or closed: number and position of each, by step."""
 
     @classmethod
     def of(cls, recording: Recording, number: int, bodies: NDArray[np.integer]) -> KeptTrack:
@@ -58,7 +61,24 @@ class KeptTrack:
         return cls(
             base=base.astype(np.float64), root=root.astype(np.float64), joints=joints.astype(np.float64),
             held=np.where(held == len(bodies) - 1, -1, held), objects=objects.astype(np.float64),
+            led=_led(recording, number),
         )  # fmt: skip
+
+
+def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]]:
+    """Joints that an agent led, with their positions, by step."""
+    positions = recording.columns.get(JOINTS)
+    if positions is None:
+        return {}
+    led: dict[int, list[tuple[int, float]]] = {}
+    targets = recording.columns[f"agent_{number}.skill_target"]
+    for span in recording.skills:
+        if span.agent == number and span.name in ("open", "close"):
+            k = int(targets[span.start_step])
+            for step in range(span.start_step, span.end_step + 1):
+                if 0 <= k < positions.shape[1]:
+                    led.setdefault(step, []).append((k, float(positions[step, k])))
+    return led
 
 
 def follow_track(play: RearrangePlay, actor: PersonActor, track: KeptTrack, step: int) -> None:
@@ -88,6 +108,9 @@ def _following(actor: PersonActor, track: KeptTrack, first: int) -> Skill:
     for step in range(first, len(track.base)):
         pelvis = pose_multiply(pose_inverse(track.base[step]), track.root[step])
         actor.person.set_pose(np.vstack([pelvis[3:], track.joints[step]]), pelvis[:3], track.base[step])
+        for joint, position in track.led.get(step, ()):
+            if actor.openables is not None:
+                actor.openables.move(joint, position)
         _handle(actor.objects, actor.number, track, step)
         yield
     return Ending("done")

@@ -17,16 +17,20 @@ from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.kernels import kernel
 from h3data.recording import STEP_NS, Event, SkillSpan
+from h3data.recording.records import JOINTS
+from h3data.scene import Scene
+from h3data.scene.articulation import AJAR, joint_names
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
 from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
+from sim_kinematic.agents.opening.openables import Openables
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_arm_clearance import arm_clearance
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.roster import kinds_of
-from sim_kinematic.agents.skills import CONTROL, DRIVEN_SKILLS, Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, Action, Ending, Objects, Skill
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.yielding import NO_PATH
@@ -51,6 +55,7 @@ DTYPES: dict[str, type] = {
     "skill": np.int32,
     "skill_target": np.int32,
     "object_pose": np.float32,
+    JOINTS: np.float32,
     "metrics.at_goal": np.bool_,
     "metrics.dist_agents": np.float32,
     "metrics.collision": np.bool_,
@@ -75,6 +80,8 @@ class AgentRun:
     spans: list[SkillSpan]
     """Skills that have ended, for the recorder."""
     names: tuple[str, ...]
+    joints: tuple[str, ...] = ()
+    """Names of doors and drawers."""
     action: Action = field(default_factory=lambda: Action("wait"))
     ending: Ending | None = None
     skill: Skill | None = None
@@ -151,11 +158,12 @@ class AgentRun:
 
     def write(self, step: int, outcome: str, reason: str) -> None:
         """Reports the action up to ``step``."""
+        names = self.joints if self.action.skill in OPENING_SKILLS else self.names
         self.spans.append(
             SkillSpan(
                 agent=self.number,
                 name=self.action.skill,
-                target=self.names[self.action.target] if self.action.target >= 0 else "",
+                target=names[self.action.target] if self.action.target >= 0 else "",
                 start_step=self.begun,
                 end_step=step,
                 outcome=outcome,  # type: ignore[arg-type]
@@ -179,18 +187,19 @@ class RearrangePlay:
     ended: str = "max_steps"
     events: list[Event] = field(default_factory=list)
     spans: list[SkillSpan] = field(default_factory=list)
+    _joints_moved: bool = False
     finishers: frozenset[int] = frozenset()
     """Agents that placed an object at its goal in the step that completed the task."""
 
     def __post_init__(self) -> None:
         world = self.episode
-        names = tuple(t.name for t in world.targets)
+        names, joints = tuple(t.name for t in world.targets), joint_names(world.scene)
         if len(self.policies) != len(world.roster):
             raise InputError(f"Expected one policy for each of {len(world.roster)} agents, got {len(self.policies)}.")
         robots = [member.body for member in world.roster if isinstance(member.body, Robot)]
         state = WorldState.zeros(
             1, robots=len(robots), people=len(world.roster) - len(robots), joints=[len(body.rest) for body in robots],
-            objects=len(names),
+            objects=len(names), scene_joints=len(joints),
         )  # fmt: skip
         for own, place in zip(state.agents, world.starts, strict=True):
             own.xz[0], own.heading[0] = place[:2], place[2]
@@ -198,14 +207,23 @@ class RearrangePlay:
             own.joints[0] = body.rest
         state.object_pose[0] = [t.start for t in world.targets]
         self.state = state
-        self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state)
+        self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state, joints)
+        self.openables = self._openables()
         self.starts = state.object_pose[0, :, :3].copy()
         self.actors = [self._actor(number) for number in range(len(world.roster))]
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         acts = sorted(self.actors, key=lambda actor: isinstance(actor, RobotActor))  # people first: robots see where to
         self.runners = [
-            AgentRun(actor.number, actor, self.policies[actor.number].policy, self.spans, names) for actor in acts
+            AgentRun(
+                actor.number,
+                actor,
+                self.policies[actor.number].policy,
+                self.spans,
+                names,
+                joints,
+            )
+            for actor in acts
         ]
         self._by_number = sorted(self.runners, key=lambda runner: runner.number)
         # a robot gives way to a person by itself, and the person to nobody: as Habitat's, or as whoever drives them decides
@@ -218,7 +236,7 @@ class RearrangePlay:
         )
         self.right_of_way = None if alone else RightOfWay(world.free, self.actors)
         for actor in self.actors:
-            actor.agreed = not alone
+            actor.agreed, actor.openables = not alone, self.openables
             actor.meets = partial(self.encounters.meets, actor)
             if isinstance(actor, DrivenPerson):
                 actor.actors = self.actors
@@ -249,11 +267,54 @@ class RearrangePlay:
             object_room=ObjectRoom(world.scene, self.objects.names, world.free.floor_y), radius_m=spec.agent_radius_m,
         )  # fmt: skip
 
+    def _openables(self) -> Openables | None:
+        """The doors and drawers of the home at their rest positions; None if nothing opens."""
+        world = self.episode
+        if not self.objects.joints:
+            return None
+        found = Openables(
+            world.scene, self.objects, world.free.floor_y, discs=self._discs_of, agents=len(world.roster)
+        )  # fmt: skip
+        self.state.joint_pos[0] = found.joints.rest.astype(np.float32)  # as they are recorded
+        return found
+
+    def _move_joints(self, before: NDArray[np.float64]) -> None:
+        """Tells of doors and drawers that have moved in this step, and lets bodies and arms know where they stand as soon as
+        all of them do."""
+        openables = self.openables
+        if openables is None:
+            return
+        after = openables.positions
+        for k, (was, now) in enumerate(zip(*(openables.joints.shares(q) for q in (before, after)), strict=True)):
+            if (was < AJAR) != (now < AJAR):
+                who = next(
+                    (r.number for r in self.runners if r.skill and r.action[:2] in (("open", k), ("close", k))), -1
+                )
+                name = openables.joints.names[k]
+                self.events.append(
+                    Event(step=self.step, agent=who, kind="open" if now >= AJAR else "close", target=name)
+                )
+        if (before != after).any():
+            self._joints_moved = True
+        elif self._joints_moved:
+            self._joints_moved = False
+            self._show_scene(openables.scene_now())
+
+    def _show_scene(self, scene: Scene) -> None:
+        floor_y = self.episode.free.floor_y
+        for actor in self.actors:
+            if isinstance(actor, RobotActor):
+                actor.arm_clearance = arm_clearance(scene, actor.robot, floor_y)
+            else:
+                actor.room = reach_room(scene, actor.person.body, floor_y)
+                if isinstance(actor, DrivenPerson):
+                    actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
+
     def turns(self) -> Generator[int | None, Action, None]:
         """As `sim_kinematic.tasks.play.Play.turns`."""
         spec = self.episode.spec
         for self.step in range(spec.max_steps):
-            held = self.objects.held_by.copy()
+            held, joints = self.objects.held_by.copy(), self.state.joint_pos[0].copy()
             if self.right_of_way is not None:
                 self.right_of_way.update([number for number in held.tolist() if number != NOBODY])
             for runner in self.runners:
@@ -270,6 +331,7 @@ class RearrangePlay:
             self.at_goal = self._at_goal()
             success = bool(self.at_goal.all())
             self.reward = self._reward(success)
+            self._move_joints(joints)
             self._tell(held, success)
             self.steps += 1
             if success:
@@ -306,16 +368,18 @@ class RearrangePlay:
 
     def _discs_beside(self, number: int) -> NDArray[np.float64]:
         """Discs ``(x, z, radius)`` [N, 3] of everybody but one agent, as they are now; of a robot those of its empty hand."""
-        spec, discs = self.episode.spec, [np.zeros((0, 3))]
-        for other in self.actors:
-            if other.number != number:
-                is_robot = isinstance(other, RobotActor)
-                base = agent_base(self.episode, other.number)
-                offsets, radius = (
-                    (base.disc_offsets_m, base.disc_radius_m) if is_robot else ((0.0,), spec.agent_radius_m)
-                )
-                discs.append(discs_at(other.xz[None], np.array([other.heading]), offsets, radius)[0])
+        discs = [np.zeros((0, 3))]
+        discs += [self._discs_of(other.number) for other in self.actors if other.number != number]
         return np.concatenate(discs)
+
+    def _discs_of(self, number: int) -> NDArray[np.float64]:
+        """Discs ``(x, z, radius)`` [N, 3] of an agent, as it is now; of a robot those of its empty hand."""
+        actor, radius = self.actors[number], self.episode.spec.agent_radius_m
+        offsets: Sequence[float] = (0.0,)
+        if isinstance(actor, RobotActor):
+            base = agent_base(self.episode, number)
+            offsets, radius = base.disc_offsets_m, base.disc_radius_m
+        return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
 
     def _meets_solid(self, person: DrivenPerson) -> bool:
         """As `AgentContactTracker.meets`, or whether the person has come nearer to others than they may in this step."""
@@ -343,7 +407,12 @@ class RearrangePlay:
             starts=self.starts, hand=lambda: me.hand_pose, arm=me.arm,
             start=self.episode.starts[runner.number], before=self.before[runner.number], collision=self.collision,
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
+            barrier=self.barrier,
         )  # fmt: skip
+
+    def barrier(self, k: int, at_goal: bool) -> int:
+        """As `RearrangeView.barrier`."""
+        return -1 if self.openables is None else self.openables.barrier_of(k, at_goal=at_goal)
 
     def _at_goal(self) -> NDArray[np.bool_]:
         """Which objects are at their goals and in nobody's hand, [K]."""
@@ -355,6 +424,8 @@ class RearrangePlay:
         """The columns of the step that has just been played."""
         frames = {person.number: person.person.frame() for person in self.people}
         row: Row = {"object_pose": self.objects.poses.copy()}
+        if self.openables is not None:
+            row[JOINTS] = self.openables.positions.copy()
         for runner in self.runners:
             at, actor = f"agent_{runner.number}.", runner.actor
             if isinstance(actor, RobotActor):
@@ -368,7 +439,7 @@ class RearrangePlay:
                     row[at + "action"] = actor.command
             row |= {
                 at + "grasp_body": self.bodies[self.objects.held(runner.number)],
-                at + "skill": DRIVEN_SKILLS.index(runner.action.skill),
+                at + "skill": ALL_SKILLS.index(runner.action.skill),
                 at + "skill_target": runner.action.target,
             }
         row["metrics.at_goal"] = self.at_goal.copy()

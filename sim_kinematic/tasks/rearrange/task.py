@@ -19,13 +19,13 @@ import numpy as np
 from h3data.bodies import Robot, load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.habitat.episodes.stored_rearrangements import StoredGoal
-from h3data.recording import Body, Recording, SkillSpan
-from h3data.scene import FreeSpace, Scene
+from h3data.recording import Agent, Body, Recording, SkillSpan
+from h3data.scene import FreeSpace, Scene, joint_names
 from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_json, command_to_json, interrupts_skill
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.robot_skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster
-from sim_kinematic.agents.skills import CONTROL, DRIVEN_SKILLS, SKILLS, Action, sentence
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.rearrange import (
@@ -208,7 +208,7 @@ class Rearrange(Task):
         body = play.episode.roster[number].body
         if not isinstance(choice, Action):
             choice = _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.objects, number)
-        elif choice.skill in SKILLS or isinstance(body, Robot):
+        elif choice.skill in (*SKILLS, *OPENING_SKILLS) or isinstance(body, Robot):
             play.objects.why_not(number, choice)
         if choice.skill == CONTROL and isinstance(body, Robot):
             checked_command(choice.command, body)  # type: ignore[arg-type]
@@ -259,6 +259,11 @@ class Rearrange(Task):
             else b
             for b in bodies
         )
+
+    def recorded_agents(self, episode: Episode, agents: tuple[Agent, ...]) -> tuple[Agent, ...]:
+        if not episode.scene.articulations:
+            return agents
+        return tuple(replace(agent, skill_names=ALL_SKILLS) for agent in agents)
 
     def instruction(self, episode: Episode) -> str:
         assert isinstance(episode, RearrangeEpisode)
@@ -347,16 +352,18 @@ class Rearrange(Task):
                 f"{recording.episode.schema_version}: it replays as it was recorded, but its people cannot be simulated "
                 f"again. Hint: verify or resume it with the version that made it ({recording.episode.created_by})."
             )
-        objects = tuple(target.name for target in episode.targets)
+        objects, joints = tuple(target.name for target in episode.targets), joint_names(episode.scene)
         commands, verifies, policies = recorded_commands(recording, self.choice_from_json), not changed, []
         for k, (assigned, since) in enumerate(zip(own, _since(recording), strict=True)):
             policy: Any = None if verifies else assigned.policy
             # a driven person on a recorded track is asked nothing after the commands that came before it
-            on_track = is_counterfactual(recording) and recording.agents[k].skill_names == DRIVEN_SKILLS
+            agent = recording.agents[k]
+            on_track = is_counterfactual(recording) and agent.kind == "human" and bool(agent.action_names)
             if not on_track and (k not in commands or 0 < since < until):
                 policy = RecordedPolicy(
-                    *_checked(recording, k, objects, since if k in commands else 0), until=until, since=since
-                )
+                    *_checked(recording, k, objects, since if k in commands else 0, joints), until=until, since=since,
+                    joints=joints,
+                )  # fmt: skip
                 if not verifies and assigned.policy is not None:
                     policy.own, policy.since = assigned.policy, until if changed[k] else min(since, until)
             if k in commands or on_track:  # of a recording that was continued, only the steps before
@@ -491,6 +498,8 @@ def _track_from(recording: Recording) -> int:
     return step
 
 
-def _checked(recording: Recording, k: int, objects: tuple[str, ...], since: int) -> tuple[Any, tuple[str, ...], Any]:
-    spans, now = recorded_choices(recording, k, objects, since)
+def _checked(
+    recording: Recording, k: int, objects: tuple[str, ...], since: int, joints: tuple[str, ...]
+) -> tuple[Any, tuple[str, ...], Any]:
+    spans, now = recorded_choices(recording, k, objects, since, joints=joints)
     return spans, objects, now

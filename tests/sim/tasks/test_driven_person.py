@@ -211,7 +211,7 @@ def test_commands_come_back_from_json(playground: Session, command: PersonComman
         (Pick("unicorn"), "no object 'unicorn'"),
         (Pick(7), "no object 7"),
         ("go", "Expected a PersonCommand, a skill, or a pair"),
-        (PersonCommand(do="jump"), "Expected Pick, Place, Drop or HandOver"),  # type: ignore[arg-type]
+        (PersonCommand(do="jump"), "Expected Pick, Place, Drop, HandOver, Open or Close"),  # type: ignore[arg-type]
     ],
 )
 def test_malformed_commands_are_refused_before_they_are_recorded(playground: Session, command: Any, says: str) -> None:

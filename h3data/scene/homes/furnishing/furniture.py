@@ -20,6 +20,8 @@ from h3data.scene.records import Asset, Box, Cylinder, Receptacle, Shape
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
+    from h3data.scene.homes.furnishing.opening.placing import Opening
+
 HEAD_BAND = (0.05, 1.8)
 """Range of heights in which shapes obstruct walkers, ankle to head [m]."""
 
@@ -39,6 +41,8 @@ class Furniture:
     """Depth of the strip along the front that stays free for users [m]."""
     wall_gap_m: float = 0.02
     """Distance from its back to the wall [m]."""
+    opens: Callable[[int], Opening] | None = None
+    """The same piece with doors and drawers that open, by how many of it have been placed before; None: nothing opens."""
 
     @property
     def solid(self) -> bool:
@@ -109,6 +113,7 @@ def finish(
     receptacles: Sequence[Receptacle] = (),
     front: float = 0.0,
     wall_gap: float = 0.02,
+    opens: Callable[[int], Opening] | None = None,
 ) -> Furniture:
     """The `Furniture` record of a finished model."""
     return Furniture(
@@ -119,6 +124,7 @@ def finish(
         size=size,
         front_m=front,
         wall_gap_m=wall_gap,
+        opens=opens,
     )
 
 

@@ -16,13 +16,15 @@ from h3data.scene.homes.furnishing.furniture import (
     legs,
     surface,
 )
+from h3data.scene.homes.furnishing.opening.pieces import opening_cabinet, opening_counter, opening_fridge
+from h3data.scene.homes.furnishing.opening.placing import Opening
 from h3data.scene.homes.layout import WALL_HEIGHT
 from h3data.scene.homes.solids import MeshBuilder, shade, turn_x, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.records import Shape
 
 MODULE_DEPTH, WORKTOP_HEIGHT = 0.6, 0.9
-FRIDGE_WIDTH, STOVE_WIDTH, SINK_WIDTH = 0.68, 0.6, 0.8
+FRIDGE_WIDTH, STOVE_WIDTH, SINK_WIDTH, DISHWASHER_WIDTH = 0.68, 0.6, 0.8, 0.6
 _FRONT_Z = MODULE_DEPTH / 2 - 0.04
 
 
@@ -40,11 +42,13 @@ def counter(
     mesh, half = MeshBuilder(), width / 2
     _base(mesh, width, style)
     low, high = 0.1, WORKTOP_HEIGHT - 0.04
+    colors = [style.front] * 3
     if kind == "drawers":
         for a, b in ((0.1, 0.36), (0.36, 0.62), (0.62, high)):
             cabinet_front(mesh, (-half, half), (a, b), _FRONT_Z, style.front, style.metal)
     else:
         parts = 2 if width > 0.62 else 1
+        colors = [vary(rng, style.front, 0.01) for _ in range(parts)]
         for i in range(parts):
             x = (-half + i * width / parts, -half + (i + 1) * width / parts)
             cabinet_front(
@@ -52,7 +56,7 @@ def counter(
                 x,
                 (low, high),
                 _FRONT_Z,
-                vary(rng, style.front, 0.01),
+                colors[i],
                 style.metal,
                 knob="right" if i == 0 else "left",
             )
@@ -61,7 +65,32 @@ def counter(
     if kind != "sink":
         mesh.span((-half, y - 0.04, back), (half, y, front), style.worktop)
         top = surface("top", (0, y, 0.02), (width - 0.04, MODULE_DEPTH - 0.12), 0.5)
-        return finish("kitchen_counter", mesh, (width, y, MODULE_DEPTH), shapes=shapes, receptacles=[top], front=0.75)
+
+        def opening(number: int) -> Opening:
+            # the first cupboard as wide as a dishwasher is one
+            inside = "dishwasher" if kind == "doors" and width == DISHWASHER_WIDTH and not number else kind
+            return opening_counter(size, _FRONT_Z, colors, style.metal, style.worktop, kind=inside, top=top)
+
+        size = width, y, MODULE_DEPTH
+        return finish("kitchen_counter", mesh, size, shapes=shapes, receptacles=[top], front=0.75, opens=opening)
+    _sink(mesh, half, style)
+    left = 2 * half - 0.5
+    top = surface("top", (-half + left / 2, y, 0.02), (left - 0.06, MODULE_DEPTH - 0.12), 0.5)
+
+    def opening_sink(number: int) -> Opening:
+        del number
+        looks = MeshBuilder()
+        _sink(looks, half, style)
+        return opening_counter(size, _FRONT_Z, colors, style.metal, style.worktop, kind=kind, top=top, looks=looks)
+
+    size = width, y, MODULE_DEPTH
+    # For collision, the cabinet is solid and the basin filled up to the worktop.
+    return finish("kitchen_counter", mesh, size, shapes=shapes, receptacles=[top], front=0.75, opens=opening_sink)
+
+
+def _sink(mesh: MeshBuilder, half: float, style: Style) -> None:
+    """Adds a worktop with a basin and a tap."""
+    y, back, front = WORKTOP_HEIGHT, -MODULE_DEPTH / 2, MODULE_DEPTH / 2
     x0, x1, z0, z1, deep = half - 0.5, half - 0.08, -0.17, 0.2, 0.16
     for a, b in (
         ((-half, back), (x0, front)),
@@ -82,10 +111,6 @@ def counter(
     mesh.cylinder((middle, y + 0.255, -0.145), 0.011, 0.17, steel, segments=8, turn=turn_x(np.pi / 2))
     mesh.cylinder((middle, y + 0.235, -0.065), 0.011, 0.05, steel, segments=8)
     mesh.box((middle + 0.035, y + 0.05, -0.22), (0.06, 0.014, 0.014), steel)
-    left = x0 + half
-    top = surface("top", ((-half + x0) / 2, y, 0.02), (left - 0.06, MODULE_DEPTH - 0.12), 0.5)
-    # For collision, the cabinet is solid and the basin filled up to the worktop.
-    return finish("kitchen_counter", mesh, (width, y, MODULE_DEPTH), shapes=shapes, receptacles=[top], front=0.75)
 
 
 def stove(rng: np.random.Generator, style: Style) -> Furniture:
@@ -119,7 +144,10 @@ def fridge(rng: np.random.Generator, style: Style) -> Furniture:
         mesh.span((-w / 2 + 0.05, low, d / 2 + 0.005), (-w / 2 + 0.075, high, d / 2 + 0.03), style.metal, bevel=0.006)
     top = surface("top", (0, h, -0.05), (w - 0.1, d - 0.2), 2.5 - h)
     shape = box_part((0, h / 2, 0), (w, h, d))
-    return finish("fridge", mesh, (w, h, d), shapes=[shape], receptacles=[top], front=0.75)
+    return finish(
+        "fridge", mesh, (w, h, d), shapes=[shape], receptacles=[top], front=0.75,
+        opens=lambda _: opening_fridge((w, h, d), body, style.metal),
+    )  # fmt: skip
 
 
 def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furniture:
@@ -128,11 +156,19 @@ def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furni
     mesh.span((-width / 2, y0, -d / 2), (width / 2, y1, d / 2 - 0.02), shade(style.front, 0.92))
     _splashback(mesh, width, -d / 2, y0, style)
     parts = max(1, round(width / 0.45))
+    colors = [vary(rng, style.front, 0.015) for _ in range(parts)]
     for i in range(parts):
         x = (-width / 2 + i * width / parts, -width / 2 + (i + 1) * width / parts)
-        cabinet_front(mesh, x, (y0, y1), d / 2 - 0.02, vary(rng, style.front, 0.015), style.metal, knob="none")
+        cabinet_front(mesh, x, (y0, y1), d / 2 - 0.02, colors[i], style.metal, knob="none")
     shape = box_part((0, (y0 + y1) / 2, 0), (width, y1 - y0, d))
-    return finish("kitchen_cabinet", mesh, (width, y1, d), shapes=[shape])
+
+    def opening(number: int) -> Opening:
+        del number
+        tiles = MeshBuilder()
+        _splashback(tiles, width, -d / 2, y0, style)
+        return opening_cabinet(width, d, (y0, y1), colors, style.metal, style.front, tiles)
+
+    return finish("kitchen_cabinet", mesh, (width, y1, d), shapes=[shape], opens=opening)
 
 
 def _splashback(mesh: MeshBuilder, width: float, z: float, top: float, style: Style) -> None:

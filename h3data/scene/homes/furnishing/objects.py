@@ -158,6 +158,7 @@ AFFINITY: Mapping[str, tuple[str, ...]] = {
     "sofa": ("book",),
     "armchair": ("book",),
     "bed": ("book",),
+    "kitchen_cabinet": ("mug", "bowl", "box", "can"),
     "nightstand": ("book", "mug", "apple"),
     "desk": ("book", "mug", "can", "apple"),
     "console": ("bowl", "book", "bottle"),

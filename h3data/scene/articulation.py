@@ -1,0 +1,258 @@
+"""Poses of the moving parts of a scene: doors, drawers and what they carry, at any joint positions.
+
+Joints are numbered through the scene: thing by thing, part by part. The motion of a part is a product of exponentials: with
+all joints at rest nothing moves, and each joint between the body of the thing and the part turns or shifts everything
+behind it about or along its axis at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError
+from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, transform_points
+from h3data.scene.records import Articulation, Asset, Instance, Part, Scene, instance_bounds, instance_matrix
+
+AJAR = 0.6
+"""A part is open from this share of its range on: hands get in."""
+NEARLY_CLOSED = 0.02
+"""And shut up to this share."""
+
+ON_M, STACK_M = 0.02, 0.1
+"""What is at most so far beside or below a receptacle, or so far over it, lies on it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneJoints:
+    """All joints of a scene as arrays."""
+
+    names: tuple[str, ...]
+    """``thing/part``, [J]."""
+    parts: tuple[tuple[Articulation, Part], ...]
+    """Of each joint."""
+    closed: NDArray[np.float64]
+    """Positions [J] [rad or m]."""
+    opened: NDArray[np.float64]
+    rest: NDArray[np.float64]
+    owner: Mapping[str, int]
+    """Number of the joint that moves an instance, by its name."""
+    enclosing: Mapping[str, tuple[int, ...]]
+    """Joints all of which have to be open to reach a receptacle (``instance|receptacle``)."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """Number of a joint.
+
+        Raises:
+            InputError: there is none of this name.
+        """
+        if name not in self.names:
+            some = f"It has: {', '.join(self.names[:12])}." if self.names else "Nothing in it opens."
+            raise InputError(f"The scene has no joint {name!r}. {some}")
+        return self.names.index(name)
+
+    def shares(self, positions: ArrayLike) -> NDArray[np.float64]:
+        """How far joints at ``positions`` [..., J] are open, 0..1."""
+        return (np.asarray(positions, np.float64) - self.closed) / (self.opened - self.closed)
+
+    def is_open(self, positions: ArrayLike) -> NDArray[np.bool_]:
+        """Which joints at ``positions`` [..., J] let hands in."""
+        return self.shares(positions) >= AJAR
+
+    def motions(self, positions: ArrayLike) -> NDArray[np.float64]:
+        """World matrices [..., J, 4, 4] that bring what each joint moves from where the scene has it to where it is with the
+        joints at ``positions`` [..., J]."""
+        positions = np.asarray(positions, np.float64)
+        out = np.empty((*positions.shape, 4, 4))
+        first = 0
+        for thing in dict.fromkeys(thing for thing, _ in self.parts):
+            frame = pose_to_matrix(np.asarray(thing.pose, np.float64))
+            back = np.linalg.inv(frame)
+            local: dict[str, Array] = {}
+            for k, part in enumerate(thing.parts, first):
+                own = _displacement(part, positions[..., k] - part.joint.rest)
+                local[part.name] = local[part.parent] @ own if part.parent else own
+                # what stays is left as it is, to the bit
+                stays = (local[part.name] == np.eye(4)).all((-1, -2), keepdims=True)
+                out[..., k, :, :] = np.where(stays, np.eye(4), frame @ local[part.name] @ back)
+            first += len(thing.parts)
+        return out
+
+
+def _displacement(part: Part, by: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrices [..., 4, 4] in the frame of the thing, of a joint that has moved ``by`` [...] from its rest position."""
+    joint = part.joint
+    out = np.zeros((*by.shape, 4, 4))
+    out[..., [0, 1, 2, 3], [0, 1, 2, 3]] = 1.0
+    if joint.kind == "prismatic":
+        out[..., :3, 3] = by[..., None] * joint.axis
+        return out
+    x, y, z = joint.axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    sin, cos = np.sin(by)[..., None, None], np.cos(by)[..., None, None]
+    turn = np.eye(3) + sin * cross + (1 - cos) * (cross @ cross)
+    out[..., :3, :3] = turn
+    out[..., :3, 3] = joint.origin - turn @ joint.origin
+    return out
+
+
+def joints_of(scene: Scene) -> SceneJoints:
+    """The joints of a scene, collected once."""
+    return _collected(scene) if scene.articulations else _NONE
+
+
+@lru_cache(maxsize=64)
+def _collected(scene: Scene) -> SceneJoints:
+    parts = tuple((thing, part) for thing in scene.articulations for part in thing.parts)
+    enclosing: dict[str, tuple[int, ...]] = {}
+    for k, (_, part) in enumerate(parts):
+        for receptacle in part.encloses:
+            enclosing[receptacle] = (*enclosing.get(receptacle, ()), k)
+    joints = [part.joint for _, part in parts]
+    return SceneJoints(
+        names=tuple(f"{thing.name}/{part.name}" for thing, part in parts),
+        parts=parts,
+        closed=np.array([joint.closed for joint in joints], np.float64),
+        opened=np.array([joint.opened for joint in joints], np.float64),
+        rest=np.array([joint.rest for joint in joints], np.float64),
+        owner={name: k for k, (_, part) in enumerate(parts) for name in part.instances},
+        enclosing=enclosing,
+    )
+
+
+_NONE = SceneJoints(
+    names=(), parts=(), closed=np.zeros(0), opened=np.zeros(0), rest=np.zeros(0), owner={}, enclosing={}
+)
+
+
+def joint_names(scene: Scene) -> tuple[str, ...]:
+    """Names ``thing/part`` of a scene's joints, in the order in which recordings have their positions."""
+    return joints_of(scene).names
+
+
+def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
+    """The scene with its joints at other positions: the same, but for the poses of what moves and the rest positions.
+
+    Args:
+        scene: The scene.
+        positions: Of all joints [J] [rad or m], or of some by name; the others stay at rest.
+
+    Raises:
+        InputError: another number of positions, an unknown name, or a number that is not finite.
+    """
+    joints = joints_of(scene)
+    wanted = joints.rest.copy()
+    if isinstance(positions, Mapping):
+        for name, value in positions.items():
+            wanted[joints.index(name)] = value
+    else:
+        given = np.asarray(positions, np.float64)
+        if given.shape != wanted.shape:
+            raise InputError(f"Expected the positions of {len(wanted)} joints, got shape {list(given.shape)}.")
+        wanted = given
+    if not np.isfinite(wanted).all():
+        raise InputError("Positions of joints must be finite.")
+    if np.array_equal(wanted, joints.rest):
+        return scene
+    motions = joints.motions(wanted)
+    moves = (motions != np.eye(4)).any((-1, -2)).tolist()
+    owner = {name: k for name, k in joints.owner.items() if moves[k]}
+    instances = tuple(_moved(i, motions[owner[i.name]]) if i.name in owner else i for i in scene.instances)
+    return replace(scene, instances=instances, articulations=_at_rest(scene, wanted, motions))
+
+
+def opened(scene: Scene) -> Scene:
+    """The scene with everything open that opens."""
+    return posed(scene, joints_of(scene).opened)
+
+
+def _moved(instance: Instance, motion: NDArray[np.float64]) -> Instance:
+    matrix = motion @ pose_to_matrix(np.asarray(instance.pose, np.float64))
+    return replace(instance, pose=pose_from_matrix(matrix).astype(np.float64))
+
+
+def _at_rest(scene: Scene, positions: NDArray[np.float64], motions: NDArray[np.float64]) -> tuple[Articulation, ...]:
+    """The articulated things with these positions as their rest: axes and handles are carried along by their parents."""
+    things, k = [], 0
+    for thing in scene.articulations:
+        frame = pose_to_matrix(np.asarray(thing.pose, np.float64))
+        back = np.linalg.inv(frame)
+        numbers = {part.name: number for number, part in enumerate(thing.parts, k)}
+        parts = []
+        for part in thing.parts:
+            own = numbers[part.name]
+            carried = back @ motions[numbers[part.parent]] @ frame if part.parent else np.eye(4)
+            moved = back @ motions[own] @ frame
+            rest = float(positions[own])
+            joint = replace(
+                part.joint,
+                axis=carried[:3, :3] @ part.joint.axis,
+                origin=carried[:3, :3] @ part.joint.origin + carried[:3, 3],
+                rest=rest,
+                lower=min(part.joint.lower, rest),
+                upper=max(part.joint.upper, rest),
+            )
+            handle = None if part.handle is None else moved[:3, :3] @ part.handle + moved[:3, 3]
+            parts.append(replace(part, joint=joint, handle=handle))
+        things.append(replace(thing, parts=tuple(parts)))
+        k += len(thing.parts)
+    return tuple(things)
+
+
+def rests_on(
+    instance: Instance, asset: Asset, feet: ArrayLike, *, motion: NDArray[np.float64] | None = None
+) -> NDArray[np.bool_]:
+    """Which of some points, the lowest of things, are on or little over one of the receptacles of an instance.
+
+    Args:
+        instance: The instance.
+        asset: Its asset.
+        feet: World points, shape [N, 3] [m].
+        motion: Where the instance has moved to, as `SceneJoints.motions` says; None: it is where the scene has it.
+    """
+    matrix = instance_matrix(instance) if motion is None else motion @ instance_matrix(instance)
+    local = transform_points(np.linalg.inv(matrix), np.asarray(feet, np.float64))
+    found = np.zeros(len(local), np.bool_)
+    for receptacle in asset.receptacles:
+        gap = local - receptacle.center
+        over = (gap[:, 1] > -ON_M) & (gap[:, 1] < max(ON_M, min(receptacle.clearance_m, STACK_M)))
+        found |= over & (np.abs(gap[:, [0, 2]]) <= receptacle.half_size + ON_M).all(1)
+    return found
+
+
+def handle_points(scene: Scene) -> NDArray[np.float64]:
+    """Where hands take hold of each part, in the world with all joints at rest, shape [J, 3] [m].
+
+    Where the scene does not say, the middle of the side of the part that moves most: the edge of a door far from its
+    hinge, the front of a drawer.
+    """
+    joints, by_name = joints_of(scene), {i.name: i for i in scene.instances}
+    out = np.zeros((len(joints), 3))
+    for k, (thing, part) in enumerate(joints.parts):
+        frame = pose_to_matrix(np.asarray(thing.pose, np.float64))
+        if part.handle is not None:
+            out[k] = frame[:3, :3] @ part.handle + frame[:3, 3]
+            continue
+        own = [by_name[name] for name in part.instances if by_name[name].motion == "static"]
+        seen = [i for i in own if len(scene.assets[i.asset].mesh.vertices)]
+        if not seen:
+            out[k] = frame[:3, :3] @ part.joint.origin + frame[:3, 3]
+            continue
+        boxes = np.array([instance_bounds(scene, i) for i in seen])
+        low, high = boxes[:, 0].min(0), boxes[:, 1].max(0)
+        axis = frame[:3, :3] @ part.joint.axis
+        if part.joint.kind == "prismatic":
+            outward = axis * np.sign(part.joint.opened - part.joint.closed)
+        else:
+            outward = (low + high) / 2 - (frame[:3, :3] @ part.joint.origin + frame[:3, 3])
+            outward -= axis * (axis @ outward)
+        outward /= max(float(np.abs(outward).max()), 1e-9)
+        out[k] = (low + high) / 2 + outward * (high - low) / 2
+    return out

@@ -1,0 +1,284 @@
+"""Doors and drawers of one world: positions, what lies in them, what stands before them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, transform_points
+from h3data.scene import Box, Instance, Scene
+from h3data.scene.articulation import SceneJoints, handle_points, joints_of, posed, rests_on
+from h3data.scene.records import Asset, Shape
+from h3data.scene.shape_bounds import shape_bounds
+from sim_kinematic.agents.driven.object_room import object_extent
+from sim_kinematic.agents.skills import Objects
+from sim_kinematic.contact import FclScene, MovingShapes
+from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.motion.state import NOBODY
+
+SWING_RAD_S, SLIDE_MPS = 1.2, 0.45
+"""Mean speed at which doors turn and drawers slide while somebody opens or closes them."""
+STEPS_LEAST = 12
+FRAMES = 8
+"""Positions on the way that are looked at for what a part would hit."""
+SAMPLES = 6
+"""Points along each edge of a part's boxes, as which it is seen from above."""
+SHRUNK_M = 0.008
+"""Parts pass this near to what stands beside them."""
+PASSES_M = 0.03
+"""Agents are hit when their disc is this deep in a part."""
+TALL_M = 1.8
+"""What is higher over the floor passes over everybody's head."""
+
+
+@dataclass(eq=False)
+class Openables:
+    """The joints of a scene, shared by all actors; positions are in ``objects.state``."""
+
+    scene: Scene
+    objects: Objects
+    floor_y: float
+    discs: Callable[[int], NDArray[np.float64]] = field(default=lambda _: np.zeros((0, 3)))
+    """Gives the discs ``(x, z, radius)`` [N, 3] of an agent."""
+    agents: int = 0
+    """How many agents there are."""
+    _scenes: dict[bytes, Scene] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.joints: SceneJoints = joints_of(self.scene)
+        by_name = {i.name: i for i in self.scene.instances}
+        self._instances = [
+            [by_name[name] for name in part.instances if by_name[name].motion == "static"]
+            for _, part in self.joints.parts
+        ]
+        named = [by_name[name] for name in self.objects.names]
+        self._extents = [object_extent(self.scene, i) for i in named]
+        self._handles = handle_points(self.scene)
+        self._scenery: dict[int, FclScene] = {}
+        self._shapes: dict[int, list[MovingShapes]] = {}
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """Of all joints [J] [rad or m]; a view."""
+        return self.objects.state.joint_pos[0]
+
+    def is_open(self, k: int) -> bool:
+        """Whether hands get in."""
+        return bool(self.joints.is_open(self.positions)[k])
+
+    def handles(self, positions: Array) -> Array:
+        """World points [..., J, 3] of all handles with the joints at ``positions`` [..., J]."""
+        motions = self.joints.motions(positions)
+        return np.einsum("...jab,jb->...ja", motions[..., :3, :3], self._handles) + motions[..., :3, 3]
+
+    def scene_now(self) -> Scene:
+        """The scene with the joints where they are."""
+        key = self.positions.tobytes()
+        if key not in self._scenes:
+            if len(self._scenes) >= 8:
+                self._scenes.pop(next(iter(self._scenes)))
+            self._scenes[key] = posed(self.scene, self.positions)
+        return self._scenes[key]
+
+    # --- what is shut in ------------------------------------------------------------------------------------------------
+    def barrier(self, foot: Array) -> int:
+        """The joint that has to be opened first to reach something whose lowest point is a world point [3]; -1: none."""
+        motions = self.joints.motions(self.positions)
+        is_open = self.joints.is_open(self.positions)
+        for instance, asset, needed in self._enclosed:
+            shut = [k for k in needed if not is_open[k]]
+            if not shut:
+                continue
+            mover = self.joints.owner.get(instance.name, -1)
+            if rests_on(instance, asset, foot[None], motion=motions[mover] if mover >= 0 else None)[0]:
+                return shut[0]
+        return -1
+
+    def barrier_of(self, k: int, *, at_goal: bool = False) -> int:
+        """The joint that has to be opened first to take object ``k``, or to put it at its goal; -1: none."""
+        point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
+        if not at_goal and self.objects.held_by[k] != NOBODY:
+            return -1
+        return self.barrier_for(k, point)
+
+    def barrier_for(self, k: int, point: Array) -> int:
+        """The joint that has to be opened first to put object ``k`` with its origin at a world point [3]; -1: none."""
+        return self.barrier(point + np.array([0.0, self._extents[k][1], 0.0]))
+
+    @cached_property
+    def _enclosed(self) -> list[tuple[Instance, Asset, tuple[int, ...]]]:
+        """Receptacles that are shut off, each as an asset with nothing else, and the joints that do so, doors first."""
+        found, by_name = [], {i.name: i for i in self.scene.instances}
+        for name, needed in self.joints.enclosing.items():
+            instance = by_name[name.partition("|")[0]]
+            asset = self.scene.assets[instance.asset]
+            own = tuple(r for r in asset.receptacles if r.name == name.partition("|")[2])
+            kinds = [self.joints.parts[k][1].joint.kind for k in needed]
+            order = sorted(zip(needed, kinds, strict=True), key=lambda pair: pair[1] == "prismatic")
+            only = Asset(name=asset.name, mesh=asset.mesh, receptacles=own)
+            found.append((instance, only, tuple(k for k, _ in order)))
+        return found
+
+    # --- what moves -----------------------------------------------------------------------------------------------------
+    def way(self, k: int, *, opens: bool) -> NDArray[np.float64]:
+        """Positions [T] of a joint on its way to its open or its closed end, one a step."""
+        joint, start = self.joints.parts[k][1].joint, float(self.positions[k])
+        end = joint.opened if opens else joint.closed
+        speed = SWING_RAD_S if joint.kind == "revolute" else SLIDE_MPS
+        steps = max(STEPS_LEAST, int(np.ceil(abs(end - start) / (speed * STEP_S))))
+        u = np.arange(1, steps + 1) / steps
+        way = start + u * u * (3 - 2 * u) * (end - start)
+        way[-1] = end
+        return way
+
+    def move(self, k: int, position: float) -> None:
+        """Moves a joint, and with it the objects that lie on what it moves."""
+        state, before = self.objects.state, self.joints.motions(self.positions)
+        lying = self._lying(k, before)
+        state.joint_pos[0, k] = np.float32(position)
+        after = self.joints.motions(self.positions)
+        for n, owner in lying:
+            pose = after[owner] @ np.linalg.inv(before[owner]) @ pose_to_matrix(self.objects.poses[n])
+            self.objects.poses[n] = pose_from_matrix(pose)
+
+    def _lying(self, k: int, motions: Array) -> list[tuple[int, int]]:
+        """Objects that nobody holds and that lie on part ``k`` or on one that hangs on it, each with the joint of that part."""
+        feet = self.objects.poses[:, :3] + np.array([[0.0, low, 0.0] for _, low, _ in self._extents]).reshape(-1, 3)
+        found: dict[int, int] = {}
+        for j in self._carried(k):
+            for instance in self._instances[j]:
+                on = rests_on(instance, self.scene.assets[instance.asset], feet, motion=motions[j])
+                found |= {int(n): j for n in np.flatnonzero(on) if self.objects.held_by[n] == NOBODY}
+        return sorted(found.items())
+
+    def _carried(self, k: int) -> list[int]:
+        """The joint and all those of the same thing that hang on it."""
+        thing, part = self.joints.parts[k]
+        names, found = {part.name}, [k]
+        first = next(n for n, (other, _) in enumerate(self.joints.parts) if other is thing)
+        for n, other in enumerate(thing.parts, first):
+            if other.parent in names:
+                names.add(other.name)
+                found.append(n)
+        return found
+
+    # --- what is in the way ---------------------------------------------------------------------------------------------
+    def points(self, k: int, way: NDArray[np.float64]) -> NDArray[np.float64]:
+        """World points [P, 3] all over what a joint moves, at positions [T] of it, up to `TALL_M`."""
+        positions = np.tile(self.positions, (len(way), 1))
+        positions[:, k] = way
+        motions = self.joints.motions(positions)
+        out = [transform_points(motion, self._samples[j]) for j in self._carried(k) for motion in motions[:, j]]
+        every = np.concatenate([np.zeros((0, 3)), *out])
+        return every[every[:, 1] < self.floor_y + TALL_M]
+
+    @cached_property
+    def _samples(self) -> list[NDArray[np.float64]]:
+        """Points on the boxes around the shapes of each part, in the world with the joints at rest, [P, 3]."""
+        grid = np.array([p for p in product(np.linspace(0, 1, SAMPLES), repeat=3) if min(p) == 0 or max(p) == 1])
+        found = []
+        for own in self._instances:
+            points = [np.zeros((0, 3))]
+            for instance in own:
+                matrix = pose_to_matrix(np.asarray(instance.pose, np.float64))
+                for shape in self.scene.assets[instance.asset].shapes:
+                    low, high = shape_bounds(shape, np.eye(4))
+                    points.append(transform_points(matrix, (low + grid * (high - low)) * instance.scale))
+            found.append(np.concatenate(points))
+        return found
+
+    def open_points(self) -> NDArray[np.float64]:
+        """Floor points [P, 2] over which parts stand that are not closed: nobody can stand there."""
+        ajar = np.flatnonzero(self.joints.shares(self.positions) > 0.05)
+        found = [self.points(int(k), self.positions[[k]])[:, [0, 2]] for k in ajar]
+        return np.concatenate([np.zeros((0, 2)), *found])
+
+    def hits_agent(self, k: int, way: NDArray[np.float64]) -> int:
+        """The first agent into whose discs a joint would move something at positions [T]; -1: none."""
+        points = self.points(k, way)[:, [0, 2]]
+        for number in range(self.agents):
+            if bool(_covered(points, self.discs(number)).any()):
+                return number
+        return -1
+
+    def obstacle(self, k: int, *, opens: bool) -> str:
+        """What bars a joint's way: the name of an instance or object of the home; empty: nothing does."""
+        way = self.way(k, opens=opens)
+        frames = way[np.unique(np.linspace(0, len(way) - 1, FRAMES).astype(int))]
+        positions = np.tile(self.positions, (len(frames), 1))
+        positions[:, k] = frames
+        motions = self.joints.motions(positions)
+        own = {name for j in self._carried(k) for name in self.joints.parts[j][1].instances}
+        own.add(self.joints.parts[k][0].base)
+        scenery = self._scene_shapes()
+        for j in self._carried(k):
+            for instance, shapes in zip(self._instances[j], self._part_shapes(j), strict=True):
+                rigid = pose_to_matrix(np.asarray(instance.pose, np.float64))
+                transforms = np.repeat((motions[:, j] @ rigid)[:, None], len(shapes), axis=1)
+                if len(shapes) and shapes.touches_along(scenery, transforms, except_for=own):
+                    return next((n for n in _touched(shapes, scenery, transforms) if n not in own), "the home")
+        points = self.points(k, frames)
+        lying = {n for n, _ in self._lying(k, self.joints.motions(self.positions))}
+        for n, (radius, low, high) in enumerate(self._extents):
+            if n in lying or self.objects.held_by[n] != NOBODY:
+                continue
+            gap = points - self.objects.poses[n, :3]
+            if bool(((np.hypot(gap[:, 0], gap[:, 2]) < radius) & (gap[:, 1] > low) & (gap[:, 1] < high)).any()):
+                return self.objects.names[n]
+        return ""
+
+    def _scene_shapes(self) -> FclScene:
+        from sim_kinematic.contact.clearance import scenery_of
+
+        return scenery_of(self.scene_now())
+
+    def _part_shapes(self, j: int) -> list[MovingShapes]:
+        if j not in self._shapes:
+            self._shapes[j] = [
+                MovingShapes([_shrunk(s) for s in self.scene.assets[i.asset].shapes], i.scale.tolist())
+                for i in self._instances[j]
+            ]
+        return self._shapes[j]
+
+
+def stands_clear(stands: Array, points: Array, offsets: Sequence[float], radius_m: float) -> NDArray[np.bool_]:
+    """Which stands ``(x, z, heading)`` [N, 3] keep their discs, ``offsets`` ahead, away from floor points [P, 2]."""
+    clear = np.ones(len(stands), np.bool_)
+    if not len(points):
+        return clear
+    for offset in offsets:
+        x = stands[:, 0] + offset * np.cos(stands[:, 2])
+        z = stands[:, 1] - offset * np.sin(stands[:, 2])
+        gap = np.hypot(x[:, None] - points[:, 0], z[:, None] - points[:, 1])
+        clear &= gap.min(1) > radius_m
+    return clear
+
+
+def _covered(points: Array, discs: Array) -> NDArray[np.bool_]:
+    """Which points [P, 2] are in one of some discs ``(x, z, radius)`` [N, 3]."""
+    gap = np.hypot(points[:, None, 0] - discs[:, 0], points[:, None, 1] - discs[:, 1])
+    return (gap < np.maximum(discs[:, 2] - PASSES_M, 0.0)).any(1)
+
+
+def _shrunk(shape: Shape) -> Shape:
+    if not isinstance(shape, Box):
+        return shape
+    return Box(pose=shape.pose, half_extents=np.maximum(shape.half_extents - SHRUNK_M, 0.5 * shape.half_extents))
+
+
+def _touched(shapes: MovingShapes, scenery: FclScene, transforms: Array) -> list[str]:
+    from sim_kinematic.contact import contacts
+
+    names = []
+    for frame in transforms:
+        shapes.set_transforms(frame)
+        names += [scenery.names[contact.index_a] for contact in contacts(scenery, shapes)]
+    return names

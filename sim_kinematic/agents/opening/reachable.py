@@ -1,0 +1,77 @@
+"""Places in a home as they are once what shuts them in is open."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import Array, transform_points
+from h3data.scene import Instance, Scene
+from h3data.scene.articulation import joints_of, posed
+from sim_kinematic.agents.opening.openables import Openables
+from sim_kinematic.agents.skills import Objects
+from sim_kinematic.motion.state import WorldState
+
+_NOTHING = np.zeros((0, 2))
+
+
+class Reachable(NamedTuple):
+    """A place and the home in which hands get there."""
+
+    scene: Scene
+    """With what encloses the place open."""
+    point: Array
+    """Where the place is then, shape [3] [m]."""
+    taken: NDArray[np.float64]
+    """Floor points [P, 2] over which open parts stand."""
+    opened: tuple[tuple[Openables, int], ...] = ()
+    """The parts that had to be opened, in this order: the home before, and the number of the joint."""
+
+
+def is_drawer(scene: Scene, instance: Instance) -> bool:
+    """Whether an instance slides: what lies in it is reached from above, however low the room is that it slides into."""
+    joints = joints_of(scene)
+    k = joints.owner.get(instance.name, -1)
+    return k >= 0 and joints.parts[k][1].joint.kind == "prismatic"
+
+
+def within_reach(scene: Scene, receptacle: str, point: Array) -> Reachable | None:
+    """A world point [3] on a receptacle (``instance|receptacle``) of a home, once what encloses it is open; None if that cannot
+    be opened."""
+    joints = joints_of(scene)
+    needed = joints.enclosing.get(receptacle, ())
+    if not needed:
+        return Reachable(scene, point, _NOTHING)
+    opened = _opened(scene, needed)
+    if opened is None:
+        return None
+    there, motions, taken, before = opened
+    mover = joints.owner.get(receptacle.partition("|")[0], -1)
+    moved = transform_points(motions[mover], point[None])[0] if mover >= 0 else point
+    return Reachable(there, moved, taken, before)
+
+
+@lru_cache(maxsize=64)
+def _opened(
+    scene: Scene, needed: tuple[int, ...]
+) -> tuple[Scene, Array, NDArray[np.float64], tuple[tuple[Openables, int], ...]] | None:
+    """The home with some parts open, the motions [J, 4, 4] of all parts, where the open ones stand, and the parts with the home
+    before each was opened; None if one of them is obstructed, the others being as the scene has them."""
+    joints = joints_of(scene)
+    openables, before = _openables(scene, joints.rest), list[tuple[Openables, int]]()
+    for k in sorted(needed, key=lambda k: joints.parts[k][1].joint.kind == "prismatic"):  # doors first
+        if openables.obstacle(k, opens=True):
+            return None
+        before.append((_openables(scene, openables.positions), k))
+        openables.positions[k] = joints.opened[k]
+    positions = openables.positions
+    return posed(scene, positions), joints.motions(positions), openables.open_points(), tuple(before)
+
+
+def _openables(scene: Scene, positions: Array) -> Openables:
+    state = WorldState.zeros(1, robots=0, people=0, scene_joints=len(positions))
+    state.joint_pos[0] = positions
+    return Openables(scene, Objects((), np.zeros((0, 3)), state), 0.0)

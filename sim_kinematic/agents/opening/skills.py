@@ -1,0 +1,89 @@
+"""Skills at doors and drawers, for robots and people alike: what must hold before they begin, where to stand for them, and how
+a part moves while a hand leads it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import Array
+from sim_kinematic.agents.opening.openables import Openables, stands_clear
+from sim_kinematic.agents.skills import Action
+
+PATIENCE_STEPS = 45
+"""Steps for which a part waits for an agent to leave its way."""
+FRONT_M = 0.05
+"""Whoever opens stands at least so far before the handle, on the side to which it comes."""
+AT_END = 0.02
+"""A part is at an end of its range within this share of it."""
+
+
+def why_not(openables: Openables | None, agent: int, action: Action) -> str:
+    """Why a part cannot be opened or closed now, whoever does it; empty: it can. Reach is asked separately."""
+    if openables is None or not 0 <= action.target < len(openables):
+        return "no_joint"
+    k, opens = action.target, action.skill == "open"
+    share = float(openables.joints.shares(openables.positions)[k])
+    if opens and share > 1 - AT_END:
+        return "already_open"
+    if not opens and share < AT_END:
+        return "already_closed"
+    hit = openables.hits_agent(k, openables.way(k, opens=opens))
+    if hit >= 0:
+        return "too_near" if hit == agent else "blocked"
+    return "obstructed" if openables.obstacle(k, opens=opens) else ""
+
+
+def handle_way(openables: Openables, k: int, way: NDArray[np.float64]) -> Array:
+    """World points [T, 3] of a handle with its joint at positions [T]."""
+    positions = np.tile(openables.positions, (len(way), 1))
+    positions[:, k] = way
+    return openables.handles(positions)[:, k]
+
+
+def full_way(openables: Openables, k: int) -> NDArray[np.float64]:
+    """Positions from where a joint is to the end of its range that is farther away."""
+    share = float(openables.joints.shares(openables.positions)[k])
+    return openables.way(k, opens=share < 0.5)
+
+
+def stands_before(
+    openables: Openables, k: int, stands: Array, offsets: Sequence[float], radius_m: float
+) -> NDArray[np.bool_]:
+    """Which stands ``(x, z, heading)`` [N, 3] for a handle are before it, and neither in the way of its part nor in that of
+    another that is open."""
+    joint = openables.joints.parts[k][1].joint
+    ends = handle_way(openables, k, np.array([joint.closed, joint.opened]))
+    outward = (ends[1] - ends[0])[[0, 2]]
+    outward /= max(float(np.hypot(*outward)), 1e-9)
+    before = (stands[:, :2] - ends[0, [0, 2]]) @ outward > FRONT_M
+    swept = openables.points(k, np.linspace(joint.closed, joint.opened, 12))[:, [0, 2]]
+    points = np.concatenate([swept, openables.open_points()])
+    return before & stands_clear(stands, points, offsets, radius_m)
+
+
+class Leading:
+    """A joint that moves along its way while a hand leads it, step by step; it waits for agents in its way."""
+
+    def __init__(self, openables: Openables, k: int, *, opens: bool) -> None:
+        self.openables, self.k = openables, k
+        self.way = openables.way(k, opens=opens)
+        self.handles = handle_way(openables, k, self.way)
+        """Where the handle comes to be, [T, 3]."""
+        self._waited = 0
+
+    @property
+    def gave_up(self) -> bool:
+        """Whether somebody stayed in the way for too long."""
+        return self._waited > PATIENCE_STEPS
+
+    def advance(self, step: int) -> bool:
+        """Moves the part to its place of a step of its way; False: somebody is there, so that it has not moved."""
+        if self.openables.hits_agent(self.k, self.way[step : step + 1]) >= 0:
+            self._waited += 1
+            return False
+        self._waited = 0
+        self.openables.move(self.k, float(self.way[step]))
+        return True
