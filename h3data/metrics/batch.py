@@ -7,6 +7,8 @@ Only the columns that a profile reads are decoded from a dataset.
 
 from __future__ import annotations
 
+import copy
+import itertools
 import json
 import os
 import threading
@@ -22,15 +24,15 @@ from h3data.errors import FormatError, InputError
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.metric import Metric
 from h3data.metrics.profile import Profile
-from h3data.metrics.registry import measure, profile_for, profiles_named
+from h3data.metrics.registry import profile_for, profiles_named
 from h3data.metrics.requirements import UnmeasurableError, stored_columns
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.finding import find_sources
 from h3data.recording.storage import AnyPath, RemotePath
 
-_CHUNK = 16
-"""Episodes read together from a dataset."""
+_CHUNK, _CHUNK_ROWS = 128, 50_000
+"""Most episodes and rows that are read together from a dataset: some MB."""
 _PART = 2048
 """Episodes of a dataset in one part of `Spread` work: about a second."""
 
@@ -154,12 +156,14 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
 
 def measure_part(part: Part, profile: str | None) -> list[Measured]:
     """What `measure_sources` gives of a part, as it can be sent."""
-    measured: list[Measured] = []
-    for index, recording in part_recordings(part, profile):
-        name = str(part.source) if part.episodes is None else f"{part.source}#{index}"
-        each = _attempt(name, recording, profile)
-        measured.append(sendable(each) if isinstance(each, EpisodeMetrics) else _told(each))
-    return measured
+    if part.episodes is None:
+        results = _attempts([(str(part.source), _log(part.source))], profile)
+    else:
+        dataset = _opened(part.source, part.job)
+        results = (
+            each for chunk in _chunks(dataset, part.episodes) for each in _measure_chunk(dataset, chunk, profile)
+        )
+    return [sendable(each) if isinstance(each, EpisodeMetrics) else _told(each) for each in results]
 
 
 def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
@@ -168,8 +172,8 @@ def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[in
         yield 0, _log(part.source)
         return
     dataset = _opened(part.source, part.job)
-    for start in range(part.episodes.start, part.episodes.stop, _CHUNK):
-        yield from _sound(dataset, range(start, min(start + _CHUNK, part.episodes.stop)), profile)
+    for chunk in _chunks(dataset, part.episodes):
+        yield from _sound(dataset, chunk, profile)
 
 
 def lost_part(part: Part, fault: Exception) -> list[Measured]:
@@ -209,7 +213,7 @@ def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterat
         if isinstance(opened, Recording):
             yield opened
         else:
-            for chunk in _chunks(opened):
+            for chunk in _chunks(opened, range(len(opened))):
                 yield from _read(opened, chunk, profile)
 
 
@@ -237,28 +241,44 @@ def _counted(left_out: Iterable[LeftOut]) -> dict[str, tuple[str, ...]]:
     return reasons
 
 
-def _attempt(name: str, recording: Recording | FormatError, profile: str | None) -> EpisodeMetrics | LeftOut:
-    if isinstance(recording, FormatError):
-        return LeftOut(name=name, error=recording)
-    try:
-        return measure(recording, profile)
-    except UnmeasurableError as error:
-        return LeftOut(name=name, error=error)
+def _attempts(
+    episodes: Iterable[tuple[str, Recording | FormatError]], profile: str | None
+) -> list[EpisodeMetrics | LeftOut]:
+    """The metrics of episodes by their names, or why there are none; those that have one profile are measured together."""
+    chosen = [
+        (
+            name,
+            found,
+            None if isinstance(found, FormatError) else profile_for(found.episode.task, found.episode.info, profile),
+        )
+        for name, found in episodes
+    ]
+    results: list[EpisodeMetrics | LeftOut] = []
+    for _, group in itertools.groupby(chosen, key=lambda each: id(each[2])):
+        names, found, profiles = zip(*group, strict=True)
+        measured = found if profiles[0] is None else profiles[0].measure_many(found)
+        results += [
+            each if isinstance(each, EpisodeMetrics) else LeftOut(name=name, error=each)
+            for name, each in zip(names, measured, strict=True)
+        ]
+    return results
+
+
+def _measure_chunk(dataset: Dataset, chunk: range, profile: str | None) -> list[EpisodeMetrics | LeftOut]:
+    episodes = _sound(dataset, chunk, profile)
+    return _attempts(((f"{dataset.root}#{index}", recording) for index, recording in episodes), profile)
 
 
 def _jobs(sources: Sequence[AnyPath], profile: str | None) -> Iterator[Callable[[], list[EpisodeMetrics | LeftOut]]]:
     for source in sources:
         if not source.is_dir():
-            yield lambda source=source: [_attempt(str(source), _log(source), profile)]
+            yield lambda source=source: _attempts([(str(source), _log(source))], profile)
             continue
         dataset = open_recording(source)
         assert isinstance(dataset, Dataset)
-        per_thread = _PerThread(source)
-        for chunk in _chunks(dataset):
-            yield lambda opened=per_thread, chunk=chunk, source=source: [
-                _attempt(f"{source}#{index}", recording, profile)
-                for index, recording in _sound(opened.dataset, chunk, profile)
-            ]
+        per_thread = _PerThread(dataset)
+        for chunk in _chunks(dataset, range(len(dataset))):
+            yield lambda opened=per_thread, chunk=chunk: _measure_chunk(opened.dataset, chunk, profile)
 
 
 def only(source: AnyPath) -> Recording:
@@ -291,8 +311,18 @@ def _sound(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[tupl
             yield from _sound(dataset, range(index, index + 1), profile)
 
 
-def _chunks(dataset: Dataset) -> Iterator[range]:
-    return (range(start, min(start + _CHUNK, len(dataset))) for start in range(0, len(dataset), _CHUNK))
+def _chunks(dataset: Dataset, episodes: range) -> Iterator[range]:
+    """Consecutive episodes that are read together, all of one shard, so that nobody opens its files twice."""
+    start, steps, shard = episodes.start, 0, -1
+    for index in episodes:
+        row = dataset.rows[index]
+        full = index - start == _CHUNK or steps + row["length"] > _CHUNK_ROWS
+        if index > start and (full or dataset.shard_of(row) != shard):
+            yield range(start, index)
+            start, steps = index, 0
+        steps, shard = steps + row["length"], dataset.shard_of(row)
+    if len(episodes):
+        yield range(start, episodes.stop)
 
 
 def _read(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Recording]:
@@ -320,16 +350,16 @@ def _info(text: str | None) -> dict[str, Any]:
 
 
 class _PerThread:
-    """A dataset that every thread opens for itself, because open files cannot be shared."""
+    """A dataset for every thread, with its own open files, which cannot be shared; the episode table is."""
 
-    def __init__(self, root: AnyPath) -> None:
-        self._root = root
+    def __init__(self, dataset: Dataset) -> None:
+        self._dataset = dataset
         self._local = threading.local()
 
     @property
     def dataset(self) -> Dataset:
         if not hasattr(self._local, "dataset"):
-            self._local.dataset = Dataset(self._root)
+            self._local.dataset = copy.copy(self._dataset)
         return self._local.dataset
 
 
