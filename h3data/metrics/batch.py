@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import itertools
-import json
 import os
 import threading
 import uuid
@@ -18,21 +17,19 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from h3data.errors import FormatError, InputError
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.metric import Metric
-from h3data.metrics.profile import Profile
+from h3data.metrics.reading import chunks_of, read_chunk, read_log
 from h3data.metrics.registry import profile_for, profiles_named
-from h3data.metrics.requirements import UnmeasurableError, stored_columns
+from h3data.metrics.requirements import UnmeasurableError
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.finding import find_sources
 from h3data.recording.storage import AnyPath, RemotePath
 
-_CHUNK, _CHUNK_ROWS = 128, 50_000
-"""Most episodes and rows that are read together from a dataset: some MB."""
 _PART = 2048
 """Episodes of a dataset in one part of `Spread` work: about a second."""
 
@@ -157,11 +154,11 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
 def measure_part(part: Part, profile: str | None) -> list[Measured]:
     """What `measure_sources` gives of a part, as it can be sent."""
     if part.episodes is None:
-        results = _attempts([(str(part.source), _log(part.source))], profile)
+        results = _attempts([(str(part.source), read_log(part.source))], profile)
     else:
         dataset = _opened(part.source, part.job)
         results = (
-            each for chunk in _chunks(dataset, part.episodes) for each in _measure_chunk(dataset, chunk, profile)
+            each for chunk in chunks_of(dataset, part.episodes) for each in _measure_chunk(dataset, chunk, profile)
         )
     return [sendable(each) if isinstance(each, EpisodeMetrics) else _told(each) for each in results]
 
@@ -169,11 +166,11 @@ def measure_part(part: Part, profile: str | None) -> list[Measured]:
 def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
     """The episodes of a part by their numbers, from a dataset with no more than the profile reads; of damaged ones, why."""
     if part.episodes is None:
-        yield 0, _log(part.source)
+        yield 0, read_log(part.source)
         return
     dataset = _opened(part.source, part.job)
-    for chunk in _chunks(dataset, part.episodes):
-        yield from _sound(dataset, chunk, profile)
+    for chunk in chunks_of(dataset, part.episodes):
+        yield from read_chunk(dataset, chunk, profile)
 
 
 def lost_part(part: Part, fault: Exception) -> list[Measured]:
@@ -199,22 +196,6 @@ def _told(left_out: LeftOut) -> tuple[str, str, str]:
 @lru_cache(maxsize=64)
 def _described(metrics: tuple[Metric, ...]) -> tuple[Metric, ...]:
     return tuple(replace(metric, value=None) for metric in metrics)
-
-
-def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterator[Recording]:
-    """Yields the recordings of datasets and logs, from datasets with no more than the profile reads.
-
-    Args:
-        sources: From `find_sources`.
-        profile: As in `measure_files`.
-    """
-    for source in sources:
-        opened = open_recording(source)
-        if isinstance(opened, Recording):
-            yield opened
-        else:
-            for chunk in _chunks(opened, range(len(opened))):
-                yield from _read(opened, chunk, profile)
 
 
 def _measured(
@@ -265,88 +246,20 @@ def _attempts(
 
 
 def _measure_chunk(dataset: Dataset, chunk: range, profile: str | None) -> list[EpisodeMetrics | LeftOut]:
-    episodes = _sound(dataset, chunk, profile)
+    episodes = read_chunk(dataset, chunk, profile)
     return _attempts(((f"{dataset.root}#{index}", recording) for index, recording in episodes), profile)
 
 
 def _jobs(sources: Sequence[AnyPath], profile: str | None) -> Iterator[Callable[[], list[EpisodeMetrics | LeftOut]]]:
     for source in sources:
         if not source.is_dir():
-            yield lambda source=source: _attempts([(str(source), _log(source))], profile)
+            yield lambda source=source: _attempts([(str(source), read_log(source))], profile)
             continue
         dataset = open_recording(source)
         assert isinstance(dataset, Dataset)
         per_thread = _PerThread(dataset)
-        for chunk in _chunks(dataset, range(len(dataset))):
+        for chunk in chunks_of(dataset, range(len(dataset))):
             yield lambda opened=per_thread, chunk=chunk: _measure_chunk(opened.dataset, chunk, profile)
-
-
-def only(source: AnyPath) -> Recording:
-    """Returns the recording in a file that is not a dataset."""
-    opened = open_recording(source)
-    if isinstance(opened, Dataset):
-        raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}")
-    return opened
-
-
-def _log(source: AnyPath) -> Recording | FormatError:
-    try:
-        return only(source)
-    except FormatError as error:
-        return error
-
-
-def _sound(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[tuple[int, Recording | FormatError]]:
-    """Episodes of a dataset by their numbers; from the first damaged one on each by itself."""
-    first = chunk.start
-    try:
-        for index, recording in zip(chunk, _read(dataset, chunk, profile), strict=True):
-            yield index, recording
-            first = index + 1
-    except FormatError as error:
-        if len(chunk) == 1:
-            yield chunk.start, error
-            return
-        for index in range(first, chunk.stop):
-            yield from _sound(dataset, range(index, index + 1), profile)
-
-
-def _chunks(dataset: Dataset, episodes: range) -> Iterator[range]:
-    """Consecutive episodes that are read together, all of one shard, so that nobody opens its files twice."""
-    start, steps, shard = episodes.start, 0, -1
-    for index in episodes:
-        row = dataset.rows[index]
-        full = index - start == _CHUNK or steps + row["length"] > _CHUNK_ROWS
-        if index > start and (full or dataset.shard_of(row) != shard):
-            yield range(start, index)
-            start, steps = index, 0
-        steps, shard = steps + row["length"], dataset.shard_of(row)
-    if len(episodes):
-        yield range(start, episodes.stop)
-
-
-def _read(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Recording]:
-    """Episodes of a dataset with no more than the profile reads of them."""
-    declared = [c.name for c in dataset.schema.columns]
-    agents = sum(name.endswith(".base_pose") for name in declared)
-    metrics = {m.id: m for p in _profiles(dataset, chunk, profile) for m in p.metrics}.values()
-    wanted = set(stored_columns(metrics, agents))
-    columns = [name for name in declared if name in wanted]
-    events = any(name.startswith("events:") for m in metrics for name in (*m.columns, *m.optional))
-    return dataset.recordings(chunk, columns=columns, records=("agents", "events") if events else ("agents",))
-
-
-def _profiles(dataset: Dataset, chunk: range, profile: str | None) -> Iterable[Profile]:
-    """The profiles that will measure the episodes of a chunk, told by their tasks and their info."""
-    if profile is not None:
-        return profiles_named(profile)
-    rows = [dataset.rows[index] for index in chunk]
-    return [profile_for(row["task"], _info(row["info"])) for row in rows]
-
-
-def _info(text: str | None) -> dict[str, Any]:
-    # Parsed only if it can matter: the info of a generated episode is some kilobytes.
-    return json.loads(text) if text and '"profile"' in text else {}
 
 
 class _PerThread:

@@ -26,7 +26,7 @@ from h3data.metrics import (
     write_series,
     write_table,
 )
-from h3data.metrics.batch import _chunks, recordings
+from h3data.metrics.reading import chunks_of, recordings
 from h3data.metrics.registry import profile_for
 from h3data.recording import STEP_NS, Agent, AssetRef, Body, Dataset, DatasetWriter, Episode, Recording, write_mcap
 from h3data_pipelines.cli import main
@@ -111,17 +111,17 @@ def test_episodes_that_differ_are_measured_together_as_alone():
 
 @pytest.mark.parametrize(("episodes", "rows"), [(128, 50_000), (7, 50_000), (128, 60), (128, 1)])
 def test_chunks_are_all_episodes_in_order_each_of_one_shard(dataset, monkeypatch, episodes, rows):
-    monkeypatch.setattr("h3data.metrics.batch._CHUNK", episodes)
-    monkeypatch.setattr("h3data.metrics.batch._CHUNK_ROWS", rows)
+    monkeypatch.setattr("h3data.metrics.reading._CHUNK", episodes)
+    monkeypatch.setattr("h3data.metrics.reading._CHUNK_ROWS", rows)
     opened = Dataset(dataset)
-    chunks = list(_chunks(opened, range(3, 70)))
+    chunks = list(chunks_of(opened, range(3, 70)))
     assert [k for chunk in chunks for k in chunk] == list(range(3, 70))
     assert all(len({opened.shard_of(opened.row(k)) for k in chunk}) == 1 for chunk in chunks)
     steps = [sum(opened.row(k)["length"] for k in chunk) for chunk in chunks]
     assert all(
         len(chunk) <= episodes and (n <= rows or len(chunk) == 1) for chunk, n in zip(chunks, steps, strict=True)
     )
-    assert list(_chunks(opened, range(5, 5))) == []
+    assert list(chunks_of(opened, range(5, 5))) == []
 
 
 def test_only_what_the_profile_reads_is_read(dataset):
