@@ -34,13 +34,13 @@ def compute_social_nav(recordings: Sequence[Recording], notes: Sequence[Notes]) 
     computed = []
     for k, (recording, note, (robot, human)) in enumerate(zip(recordings, notes, agents, strict=True)):
         distance = series["dist_m"][offsets[k] : offsets[k + 1]]
-        episode = _Counted(found[k], contacts[k], unseen[k].count, making_room[k].count, distance)
+        episode = _Counted(found[k], contacts[k], unseen[k].total, making_room[k].total, distance)
         computed.append(
             Computed(
                 values=_values(recording, episode, note),
                 robot=robot,
                 human=human,
-                moments={name: of.first for name, of in (("found", found[k]), ("collision", contacts[k])) if of.count},
+                moments={name: of.first for name, of in (("found", found[k]), ("collision", contacts[k])) if of.total},
                 protocol_deviations=protocol_deviations(recording),
             )
         )
@@ -78,7 +78,7 @@ class _Occurrences(NamedTuple):
 
     first: int
     """Row within the episode; meaningless without occurrences."""
-    count: int
+    total: int
 
 
 class _Counted(NamedTuple):
@@ -142,8 +142,8 @@ def _values(recording: Recording, episode: _Counted, notes: Notes) -> dict[str, 
         found = episode.found
         values |= (
             {"SPS": 0.0, "F": 0.0}
-            if not found.count
-            else _against_oracle(recording, found.first + 1, found.count, notes)
+            if not found.total
+            else _against_oracle(recording, found.first + 1, found.total, notes)
         )
         if recording.episode.task == "gfx_replay":
             notes.add(("BYR",), "a gfx-replay has no time stamps: speeds assume its nominal frame rate")
@@ -155,7 +155,7 @@ def _collision(recording: Recording, episode: _Counted, notes: Notes) -> float:
     if COLLISION not in recording.columns or rows == 0:
         notes.add(("CR",), f"no column {COLLISION}" if rows else "the recording has no rows")
         return NAN
-    if not episode.contacts.count:
+    if not episode.contacts.total:
         return 0.0
     first = episode.contacts.first
     if first < rows - 1:
@@ -174,7 +174,7 @@ def _distances(episode: _Counted, notes: Notes) -> dict[str, float]:
         return {}
     if episode.unseen:
         notes.add(("S", "BYR", "TD", "FD"), f"{episode.unseen} of {rows} rows lack a pose and are left out")
-    found = episode.found.count > 0
+    found = episode.found.total > 0
     values = {
         "S": float(found),
         "BYR": episode.making_room / count,
