@@ -84,8 +84,8 @@ def _from_disk(emit: Callable[[str, float, str], None], root: Path, profile: str
     """Open, read, measure and tabulate in a fresh process, so that its memory is its own; start-up is not counted."""
     script = f"""
 import resource, time
-import h3data.metrics, h3data.metrics.batch as batch
-h3data.metrics.measure(next(batch.recordings([{str(root)!r}], {profile!r})), {profile!r})
+import h3data.metrics, h3data.metrics.batch as batch, h3data.metrics.reading as reading
+h3data.metrics.measure(next(reading.recordings([{str(root)!r}], {profile!r})), {profile!r})
 wall, cpu = time.perf_counter(), time.process_time()
 table = batch.measure_files([{str(root)!r}], {profile!r})
 wall, cpu = time.perf_counter() - wall, time.process_time() - cpu

@@ -7,7 +7,8 @@ Only the columns that a profile reads are decoded from a dataset.
 
 from __future__ import annotations
 
-import json
+import copy
+import itertools
 import os
 import threading
 import uuid
@@ -16,21 +17,19 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from h3data.errors import FormatError, InputError
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.metric import Metric
-from h3data.metrics.profile import Profile
-from h3data.metrics.registry import measure, profile_for, profiles_named
-from h3data.metrics.requirements import UnmeasurableError, stored_columns
+from h3data.metrics.reading import chunks_of, read_chunk, read_log
+from h3data.metrics.registry import profile_for, profiles_named
+from h3data.metrics.requirements import UnmeasurableError
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.finding import find_sources
 from h3data.recording.storage import AnyPath, RemotePath
 
-_CHUNK = 16
-"""Episodes read together from a dataset."""
 _PART = 2048
 """Episodes of a dataset in one part of `Spread` work: about a second."""
 
@@ -154,22 +153,24 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
 
 def measure_part(part: Part, profile: str | None) -> list[Measured]:
     """What `measure_sources` gives of a part, as it can be sent."""
-    measured: list[Measured] = []
-    for index, recording in part_recordings(part, profile):
-        name = str(part.source) if part.episodes is None else f"{part.source}#{index}"
-        each = _attempt(name, recording, profile)
-        measured.append(sendable(each) if isinstance(each, EpisodeMetrics) else _told(each))
-    return measured
+    if part.episodes is None:
+        results = _attempts([(str(part.source), read_log(part.source))], profile)
+    else:
+        dataset = _opened(part.source, part.job)
+        results = (
+            each for chunk in chunks_of(dataset, part.episodes) for each in _measure_chunk(dataset, chunk, profile)
+        )
+    return [sendable(each) if isinstance(each, EpisodeMetrics) else _told(each) for each in results]
 
 
 def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
     """The episodes of a part by their numbers, from a dataset with no more than the profile reads; of damaged ones, why."""
     if part.episodes is None:
-        yield 0, _log(part.source)
+        yield 0, read_log(part.source)
         return
     dataset = _opened(part.source, part.job)
-    for start in range(part.episodes.start, part.episodes.stop, _CHUNK):
-        yield from _sound(dataset, range(start, min(start + _CHUNK, part.episodes.stop)), profile)
+    for chunk in chunks_of(dataset, part.episodes):
+        yield from read_chunk(dataset, chunk, profile)
 
 
 def lost_part(part: Part, fault: Exception) -> list[Measured]:
@@ -197,22 +198,6 @@ def _described(metrics: tuple[Metric, ...]) -> tuple[Metric, ...]:
     return tuple(replace(metric, value=None) for metric in metrics)
 
 
-def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterator[Recording]:
-    """Yields the recordings of datasets and logs, from datasets with no more than the profile reads.
-
-    Args:
-        sources: From `find_sources`.
-        profile: As in `measure_files`.
-    """
-    for source in sources:
-        opened = open_recording(source)
-        if isinstance(opened, Recording):
-            yield opened
-        else:
-            for chunk in _chunks(opened):
-                yield from _read(opened, chunk, profile)
-
-
 def _measured(
     paths: Iterable[str | os.PathLike[str] | RemotePath],
     profile: str | None,
@@ -237,99 +222,57 @@ def _counted(left_out: Iterable[LeftOut]) -> dict[str, tuple[str, ...]]:
     return reasons
 
 
-def _attempt(name: str, recording: Recording | FormatError, profile: str | None) -> EpisodeMetrics | LeftOut:
-    if isinstance(recording, FormatError):
-        return LeftOut(name=name, error=recording)
-    try:
-        return measure(recording, profile)
-    except UnmeasurableError as error:
-        return LeftOut(name=name, error=error)
+def _attempts(
+    episodes: Iterable[tuple[str, Recording | FormatError]], profile: str | None
+) -> list[EpisodeMetrics | LeftOut]:
+    """The metrics of episodes by their names, or why there are none; those that have one profile are measured together."""
+    chosen = [
+        (
+            name,
+            found,
+            None if isinstance(found, FormatError) else profile_for(found.episode.task, found.episode.info, profile),
+        )
+        for name, found in episodes
+    ]
+    results: list[EpisodeMetrics | LeftOut] = []
+    for _, group in itertools.groupby(chosen, key=lambda each: id(each[2])):
+        names, found, profiles = zip(*group, strict=True)
+        measured = found if profiles[0] is None else profiles[0].measure_many(found)
+        results += [
+            each if isinstance(each, EpisodeMetrics) else LeftOut(name=name, error=each)
+            for name, each in zip(names, measured, strict=True)
+        ]
+    return results
+
+
+def _measure_chunk(dataset: Dataset, chunk: range, profile: str | None) -> list[EpisodeMetrics | LeftOut]:
+    episodes = read_chunk(dataset, chunk, profile)
+    return _attempts(((f"{dataset.root}#{index}", recording) for index, recording in episodes), profile)
 
 
 def _jobs(sources: Sequence[AnyPath], profile: str | None) -> Iterator[Callable[[], list[EpisodeMetrics | LeftOut]]]:
     for source in sources:
         if not source.is_dir():
-            yield lambda source=source: [_attempt(str(source), _log(source), profile)]
+            yield lambda source=source: _attempts([(str(source), read_log(source))], profile)
             continue
         dataset = open_recording(source)
         assert isinstance(dataset, Dataset)
-        per_thread = _PerThread(source)
-        for chunk in _chunks(dataset):
-            yield lambda opened=per_thread, chunk=chunk, source=source: [
-                _attempt(f"{source}#{index}", recording, profile)
-                for index, recording in _sound(opened.dataset, chunk, profile)
-            ]
-
-
-def only(source: AnyPath) -> Recording:
-    """Returns the recording in a file that is not a dataset."""
-    opened = open_recording(source)
-    if isinstance(opened, Dataset):
-        raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}")
-    return opened
-
-
-def _log(source: AnyPath) -> Recording | FormatError:
-    try:
-        return only(source)
-    except FormatError as error:
-        return error
-
-
-def _sound(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[tuple[int, Recording | FormatError]]:
-    """Episodes of a dataset by their numbers; from the first damaged one on each by itself."""
-    first = chunk.start
-    try:
-        for index, recording in zip(chunk, _read(dataset, chunk, profile), strict=True):
-            yield index, recording
-            first = index + 1
-    except FormatError as error:
-        if len(chunk) == 1:
-            yield chunk.start, error
-            return
-        for index in range(first, chunk.stop):
-            yield from _sound(dataset, range(index, index + 1), profile)
-
-
-def _chunks(dataset: Dataset) -> Iterator[range]:
-    return (range(start, min(start + _CHUNK, len(dataset))) for start in range(0, len(dataset), _CHUNK))
-
-
-def _read(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Recording]:
-    """Episodes of a dataset with no more than the profile reads of them."""
-    declared = [c.name for c in dataset.schema.columns]
-    agents = sum(name.endswith(".base_pose") for name in declared)
-    metrics = {m.id: m for p in _profiles(dataset, chunk, profile) for m in p.metrics}.values()
-    wanted = set(stored_columns(metrics, agents))
-    columns = [name for name in declared if name in wanted]
-    events = any(name.startswith("events:") for m in metrics for name in (*m.columns, *m.optional))
-    return dataset.recordings(chunk, columns=columns, records=("agents", "events") if events else ("agents",))
-
-
-def _profiles(dataset: Dataset, chunk: range, profile: str | None) -> Iterable[Profile]:
-    """The profiles that will measure the episodes of a chunk, told by their tasks and their info."""
-    if profile is not None:
-        return profiles_named(profile)
-    rows = [dataset.rows[index] for index in chunk]
-    return [profile_for(row["task"], _info(row["info"])) for row in rows]
-
-
-def _info(text: str | None) -> dict[str, Any]:
-    # Parsed only if it can matter: the info of a generated episode is some kilobytes.
-    return json.loads(text) if text and '"profile"' in text else {}
+        per_thread = _PerThread(dataset)
+        for chunk in chunks_of(dataset, range(len(dataset))):
+            yield lambda opened=per_thread, chunk=chunk: _measure_chunk(opened.dataset, chunk, profile)
 
 
 class _PerThread:
-    """A dataset that every thread opens for itself, because open files cannot be shared."""
+    """A dataset for every thread, with its own open files, which cannot be shared; the episode table is."""
 
-    def __init__(self, root: AnyPath) -> None:
-        self._root = root
+    def __init__(self, dataset: Dataset) -> None:
+        self._dataset = dataset
         self._local = threading.local()
 
     @property
     def dataset(self) -> Dataset:
         if not hasattr(self._local, "dataset"):
-            self._local.dataset = Dataset(self._root)
+            self._local.dataset = copy.copy(self._dataset)
         return self._local.dataset
 
 

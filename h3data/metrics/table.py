@@ -16,7 +16,7 @@ from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.metric import Metric
 from h3data.metrics.registry import find_profile, measure
 from h3data.recording.records import Recording, notebook
-from h3data.stats import bootstrap_interval, wilson_interval
+from h3data.stats import bootstrap_intervals, wilson_interval
 
 _NAMED = 4
 """Episodes named for each reason why some are left out."""
@@ -70,10 +70,9 @@ class MetricsTable:
         """Returns mean and interval of each metric, see `summarize`."""
         key = (confidence, resamples, seed)
         if key not in self._summaries:
-            self._summaries[key] = {
-                m.name: summarize(m, self.columns[m.name], confidence=confidence, resamples=resamples, seed=seed)
-                for m in self.metrics
-            }
+            self._summaries[key] = summarize_all(
+                self.metrics, self.columns, confidence=confidence, resamples=resamples, seed=seed
+            )
         return dict(self._summaries[key])
 
     def notes(self) -> dict[str, dict[str, int]]:
@@ -159,19 +158,40 @@ def summarize(
     seed: int = 0,
 ) -> Summary:
     """Returns the mean of the defined ``values`` [E] with its interval: Wilson's for 0/1 metrics, else a seeded bootstrap."""
-    defined = values[~np.isnan(values)]
-    if metric.binary:
-        low, high = wilson_interval(int(defined.sum()), len(defined), confidence=confidence)
-    else:
-        low, high = bootstrap_interval(defined, confidence=confidence, resamples=resamples, seed=seed)
-    return Summary(
-        mean=float(defined.mean()) if len(defined) else float("nan"),
-        low=low,
-        high=high,
-        count=len(defined),
-        episodes=len(values),
-        method="wilson" if metric.binary else "bootstrap",
+    columns = {metric.name: values}
+    return summarize_all([metric], columns, confidence=confidence, resamples=resamples, seed=seed)[metric.name]
+
+
+def summarize_all(
+    metrics: Sequence[Metric],
+    columns: Mapping[str, NDArray[np.float64]],
+    *,
+    confidence: float = 0.95,
+    resamples: int = 10_000,
+    seed: int = 0,
+) -> dict[str, Summary]:
+    """`summarize` of metrics by name, ``columns`` being their values [E]; together they take a third of the time."""
+    defined = {m.name: columns[m.name][~np.isnan(columns[m.name])] for m in metrics}
+    means = [m.name for m in metrics if not m.binary]
+    sampled = bootstrap_intervals(
+        [defined[name] for name in means], confidence=confidence, resamples=resamples, seed=seed
     )
+    intervals = dict(zip(means, sampled, strict=True)) | {
+        m.name: wilson_interval(int(defined[m.name].sum()), len(defined[m.name]), confidence=confidence)
+        for m in metrics
+        if m.binary
+    }
+    return {
+        m.name: Summary(
+            mean=float(defined[m.name].mean()) if len(defined[m.name]) else float("nan"),
+            low=intervals[m.name][0],
+            high=intervals[m.name][1],
+            count=len(defined[m.name]),
+            episodes=len(columns[m.name]),
+            method="wilson" if m.binary else "bootstrap",
+        )
+        for m in metrics
+    }
 
 
 def deviation_lines(deviations: Iterable[str]) -> list[str]:

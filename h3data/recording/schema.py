@@ -226,6 +226,14 @@ _STRUCT_NAMES = {cls: name for name, cls in RECORD_TYPES.items()}
 
 _SCALARS: dict[str, Callable[[Any], Any]] = {"string": str, "int64": int, "double": float}
 _TYPES: dict[str, type | tuple[type, ...]] = {"string": str, "int64": int, "double": (float, int)}
+_FIELDS = {
+    struct: tuple(
+        (name, kind, kind.endswith("*"), _TYPES[kind.rstrip("*")] if kind != "float*" else float)
+        for name, kind in fields.items()
+    )
+    for struct, fields in STRUCTS.items()
+}
+"""Name, kind, whether it is a list, and the types of its values, of each field."""
 
 
 def struct_to_dict(record: Any) -> dict[str, Any]:
@@ -249,17 +257,18 @@ def struct_from_dict(struct: str, values: Mapping[str, Any]) -> Any:
         FormatError: a field has another type.
     """
     arguments: dict[str, Any] = {}
-    for name, kind in STRUCTS[struct].items():
-        if name not in values or values[name] is None:
+    for name, kind, many, types in _FIELDS[struct]:
+        value = values.get(name)
+        if value is None:
             continue
-        value = values[name]
         if kind == "float*":
             arguments[name] = np.array(value, np.float32)
             continue
-        many = kind.endswith("*")
-        if isinstance(value, list | tuple) != many or not all(
-            isinstance(v, _TYPES[kind.rstrip("*")]) for v in (value if many else (value,))
-        ):
+        if not many:
+            sound = isinstance(value, types)
+        else:
+            sound = isinstance(value, list | tuple) and all(isinstance(v, types) for v in value)
+        if not sound:
             raise FormatError(f"Expected {kind.replace('*', ' values')} in {struct}.{name}, got {value!r:.60}.")
         arguments[name] = tuple(value) if many else value
     if arguments.get("color") == ():

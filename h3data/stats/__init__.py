@@ -3,8 +3,8 @@
 Knows neither recordings nor metrics. Everything random is seeded, and NaN stands for an undefined value.
 
 ================= ======================================================================================================
-intervals         `wilson_interval` (rates), `bootstrap_interval` (means over episodes), `t_interval` and `over_seeds`
-                  (means over a few training seeds)
+intervals         `wilson_interval` (rates), `bootstrap_interval` and `bootstrap_intervals` (means over episodes),
+                  `t_interval` and `over_seeds` (means over a few training seeds)
 paired tests      `compare_paired`: permutation, Student's t, Wilcoxon, McNemar, with effect sizes
 ranks             `rank_agreement`: Kendall's tau and Spearman's rho of two evaluations of the same methods
 many tests        `adjust_p_values`: Holm, Bonferroni, Benjamini-Hochberg
@@ -19,7 +19,14 @@ after the fit     `marginal_means`, `contrasts` (with `contrasts_text`), `relati
 # references that its tests compare with.
 
 from h3data.stats.glmm_design import Family, FixedDesign, SeparationError
-from h3data.stats.intervals import SeedSummary, bootstrap_interval, over_seeds, t_interval, wilson_interval
+from h3data.stats.intervals import (
+    SeedSummary,
+    bootstrap_interval,
+    bootstrap_intervals,
+    over_seeds,
+    t_interval,
+    wilson_interval,
+)
 from h3data.stats.mixed_models import GlmmFit, fit_glmm
 from h3data.stats.multiple_tests import PAdjustment, adjust_p_values
 from h3data.stats.paired_tests import PairedComparison, PairedMethod, compare_paired
@@ -51,6 +58,7 @@ __all__ = [
     "SeparationError",
     "adjust_p_values",
     "bootstrap_interval",
+    "bootstrap_intervals",
     "compare_paired",
     "contrasts",
     "contrasts_text",

@@ -5,6 +5,10 @@
 
 from __future__ import annotations
 
+import os
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 
-_BLOCK = 2_000_000
-"""Random indices held in memory at once: 16 MB."""
+_BLOCK = 250_000
+"""Random indices that are drawn together: 2 MB, which stay in a core's cache."""
+_WORTH_THREADS = 64
+"""Blocks of all columns from which on other cores help: 50 ms of work."""
 
 
 def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) -> tuple[float, float]:
@@ -45,18 +51,54 @@ def bootstrap_interval(
 
     NaN values are left out; with fewer than two left, both ends are NaN. The same seed gives the same interval.
     """
+    return bootstrap_intervals([values], confidence=confidence, resamples=resamples, seed=seed)[0]
+
+
+def bootstrap_intervals(
+    columns: Sequence[ArrayLike], *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0
+) -> list[tuple[float, float]]:
+    """Returns the `bootstrap_interval` of each of several columns [E]; those with as many values share their samples."""
     check_confidence(confidence)
-    v = _defined(values)
-    if len(v) < 2:
-        return float("nan"), float("nan")
+    defined = [_defined(values) for values in columns]
+    means: dict[int, NDArray[np.float64]] = {}
+    for count in {len(v) for v in defined if len(v) > 1}:
+        alike = [k for k, v in enumerate(defined) if len(v) == count]
+        sampled = _resampled_means([defined[k] for k in alike], resamples, seed)
+        means.update(zip(alike, sampled, strict=True))
+    ends = [(1 - confidence) / 2, (1 + confidence) / 2]
+    nothing = (float("nan"), float("nan"))
+    return [tuple(np.quantile(means[k], ends).tolist()) if k in means else nothing for k in range(len(defined))]
+
+
+def _resampled_means(columns: Sequence[NDArray[np.float64]], resamples: int, seed: int) -> NDArray[np.float64]:
+    """Means of random samples with replacement of columns of one length, the same rows of each, shape [columns, resamples]."""
+    count = len(columns[0])
     random = np.random.default_rng(seed)
-    means = np.empty(resamples)
-    per_block = max(1, _BLOCK // len(v))
-    for start in range(0, resamples, per_block):
-        stop = min(start + per_block, resamples)
-        means[start:stop] = v[random.integers(0, len(v), (stop - start, len(v)))].mean(axis=1)
-    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return float(low), float(high)
+    means = np.empty((len(columns), resamples))
+
+    def average(column: int, start: int, rows: NDArray[np.int64]) -> None:
+        # np.take(mode="clip") is three times as fast as columns[column][rows], and lets other threads run.
+        means[column, start : start + len(rows)] = np.take(columns[column], rows, mode="clip").mean(axis=1)
+
+    per_block = max(1, _BLOCK // count)
+    blocks = [(start, min(per_block, resamples - start)) for start in range(0, resamples, per_block)]
+    if len(blocks) * len(columns) < _WORTH_THREADS:
+        for start, size in blocks:
+            rows = random.integers(0, count, (size, count))
+            for column in range(len(columns)):
+                average(column, start, rows)
+        return means
+    workers = os.cpu_count() or 1
+    with ThreadPoolExecutor(workers) as pool:
+        waiting: deque[Future[None]] = deque()
+        for start, size in blocks:  # drawn in one order, whoever averages
+            rows = random.integers(0, count, (size, count))
+            waiting.extend(pool.submit(average, column, start, rows) for column in range(len(columns)))
+            while len(waiting) > 2 * workers * len(columns):
+                waiting.popleft().result()
+        for future in waiting:
+            future.result()
+    return means
 
 
 def t_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:

@@ -26,7 +26,8 @@ from h3data.metrics import (
     write_series,
     write_table,
 )
-from h3data.metrics.batch import recordings
+from h3data.metrics.reading import chunks_of, recordings
+from h3data.metrics.registry import profile_for
 from h3data.recording import STEP_NS, Agent, AssetRef, Body, Dataset, DatasetWriter, Episode, Recording, write_mcap
 from h3data_pipelines.cli import main
 
@@ -77,6 +78,50 @@ def test_a_dataset_measures_as_its_recordings_one_by_one(dataset, profile):
         table = measure_files([dataset], profile, workers=workers)
         assert table.episode_ids == plain.episode_ids
         assert [e.to_dict() for e in table.episodes] == [e.to_dict() for e in plain.episodes]
+
+
+def test_episodes_that_differ_are_measured_together_as_alone():
+    def changed(k: int, **arrays) -> Recording:
+        columns = {**episode(k).columns, **arrays}
+        return dataclasses.replace(episode(k), columns={name: c for name, c in columns.items() if c is not None})
+
+    gone = episode(3).columns["agent_1.base_pose"].copy()
+    gone[[0, 4, -1]] = np.nan
+    unknown = episode(5).columns["metrics.geodesic_agents"].copy()
+    unknown[2:6] = np.nan
+    touching = np.arange(len(episode(6))) % 5 == 3
+    various = [
+        episode(0),
+        changed(1, **{"metrics.geodesic_agents": None}),
+        changed(2, **{"metrics.collision": None}),
+        changed(3, **{"agent_1.base_pose": gone}),
+        changed(4, **{name: column[:0] for name, column in episode(4).columns.items()}),
+        changed(5, **{"metrics.geodesic_agents": unknown}),
+        changed(6, **{"metrics.collision": touching}),
+        changed(7, **{"agent_0.base_pose": np.full_like(episode(7).columns["agent_0.base_pose"], np.nan)}),
+        dataclasses.replace(episode(8), agents=episode(8).agents[::-1]),
+    ]
+    profile = profile_for("social_nav", {}, "paper")
+    for some in (various, various[::-1], various[4:5] * 2):
+        together = profile.measure_many(some)
+        assert [(e.to_dict(), e.moments) for e in together] == [
+            (e.to_dict(), e.moments) for e in map(profile.measure, some)
+        ]
+
+
+@pytest.mark.parametrize(("episodes", "rows"), [(128, 50_000), (7, 50_000), (128, 60), (128, 1)])
+def test_chunks_are_all_episodes_in_order_each_of_one_shard(dataset, monkeypatch, episodes, rows):
+    monkeypatch.setattr("h3data.metrics.reading._CHUNK", episodes)
+    monkeypatch.setattr("h3data.metrics.reading._CHUNK_ROWS", rows)
+    opened = Dataset(dataset)
+    chunks = list(chunks_of(opened, range(3, 70)))
+    assert [k for chunk in chunks for k in chunk] == list(range(3, 70))
+    assert all(len({opened.shard_of(opened.row(k)) for k in chunk}) == 1 for chunk in chunks)
+    steps = [sum(opened.row(k)["length"] for k in chunk) for chunk in chunks]
+    assert all(
+        len(chunk) <= episodes and (n <= rows or len(chunk) == 1) for chunk, n in zip(chunks, steps, strict=True)
+    )
+    assert list(chunks_of(opened, range(5, 5))) == []
 
 
 def test_only_what_the_profile_reads_is_read(dataset):

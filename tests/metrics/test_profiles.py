@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import uuid
 from pathlib import Path
@@ -14,6 +15,7 @@ from h3data.geometry import ground_pose
 from h3data.metrics import Computed, Metric, Profile, explain_episode, find_metric, measure, measure_files, measure_many
 from h3data.metrics import registry as registry_module
 from h3data.metrics.registry import profile_for
+from h3data.metrics.requirements import UnmeasurableError
 from h3data.recording import STEP_NS, Agent, DatasetWriter, Episode, Recording
 from h3data_pipelines.cli import main
 
@@ -197,3 +199,21 @@ def test_a_profile_may_compute_everything_together():
         compute=lambda recording, notes: Computed(values={"b": len(recording)}),
     )
     assert profile.measure(fetching()).values == pytest.approx({"a": np.nan, "b": 4}, nan_ok=True)
+
+
+def test_a_profile_may_compute_several_recordings_together():
+    def lengths(recordings, notes):
+        if any(not recording.agents for recording in recordings):
+            raise UnmeasurableError("nobody", "nobody")
+        for note in notes:
+            note.add(["a"], "counted")
+        return [Computed(values={"a": len(recording) + len(recordings)}) for recording in recordings]
+
+    profile = Profile(name="p", title="", metrics=(metric(value=None),), compute_many=lengths)
+    together = profile.measure_many([fetching(), fetching()])
+    assert [each.values["a"] for each in together] == [6, 6]
+    assert profile.measure(fetching()).values["a"] == 5
+    nobody = dataclasses.replace(fetching(), agents=())
+    first, left_out, last = profile.measure_many([fetching(), nobody, fetching()])
+    assert isinstance(left_out, UnmeasurableError)
+    assert [(each.values["a"], dict(each.notes)) for each in (first, last)] == [(5, {"a": "counted"})] * 2

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import errno
 import io
 import json
 import os
+import pickle
 import random
 import signal
 import subprocess
@@ -36,6 +38,7 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.recording.parquet import shard as dataset_shard
+from h3data.recording.parquet.folder import EpisodeRows
 from h3data.recording.parquet.moments import merged, moments_of
 from h3data.recording.schema import DTYPES
 from tests.paths import REAL, ROOT
@@ -549,3 +552,19 @@ def test_differences_are_found():
         (line,) = recordings_equal(rec, other)
         assert line.startswith(start)
     assert recordings_equal(rec, replace(rec, columns=dict(reversed(rec.columns.items())))) == []
+
+
+def test_rows_of_the_episode_table_are_a_sequence():
+    table = pa.table({"task": ["wander"] * 200, "schema_version": ["1.6"] * 200, "info": [str(k) for k in range(200)]})
+    rows = EpisodeRows(table)
+    expected = table.to_pylist()
+    for some in (rows, pickle.loads(pickle.dumps(rows)), copy.copy(rows)):
+        assert list(some) == expected
+        assert len(some) == 200
+        assert [some[k] for k in (0, 63, 64, 199, -1, -200)] == [expected[k] for k in (0, 63, 64, 199, -1, -200)]
+        assert some[60:70] == expected[60:70]
+        assert some[::-50] == expected[::-50]
+    for index in (200, -201):
+        with pytest.raises(IndexError, match="200 episodes"):
+            rows[index]
+    assert list(EpisodeRows(table.slice(0, 0))) == []

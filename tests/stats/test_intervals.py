@@ -9,7 +9,14 @@ import pytest
 import scipy.stats
 
 from h3data.errors import InputError
-from h3data.stats import adjust_p_values, bootstrap_interval, over_seeds, t_interval, wilson_interval
+from h3data.stats import (
+    adjust_p_values,
+    bootstrap_interval,
+    bootstrap_intervals,
+    over_seeds,
+    t_interval,
+    wilson_interval,
+)
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 20), (20, 20), (3, 7), (451, 500), (702, 1000)])
@@ -45,6 +52,21 @@ def test_the_bootstrap_is_seeded_and_in_blocks_equal_to_itself(monkeypatch):
     whole = bootstrap_interval(values, resamples=2000)
     monkeypatch.setattr("h3data.stats.intervals._BLOCK", 777)
     assert bootstrap_interval(values, resamples=2000) == whole
+
+
+def test_columns_together_are_columns_alone_on_however_many_threads(monkeypatch):
+    random = np.random.default_rng(1)
+    columns = [random.normal(size=40), random.exponential(size=40), random.normal(size=31), random.normal(size=40)]
+    columns[3][5:14] = np.nan  # as many values as the third
+    columns += [np.array([1.0]), np.array([])]
+    alone = [bootstrap_interval(values, resamples=900, seed=2) for values in columns]
+    by_hand = np.random.default_rng(2)
+    means = columns[0][by_hand.integers(0, 40, (900, 40))].mean(axis=1)
+    assert alone[0] == tuple(np.quantile(means, [(1 - 0.95) / 2, (1 + 0.95) / 2]))
+    monkeypatch.setattr("h3data.stats.intervals._BLOCK", 500)
+    for least in (1, 10**9):
+        monkeypatch.setattr("h3data.stats.intervals._WORTH_THREADS", least)
+        np.testing.assert_array_equal(bootstrap_intervals(columns, resamples=900, seed=2), alone)
 
 
 def test_undefined_values_are_left_out():

@@ -65,12 +65,15 @@ def encounter_series(
     reach_m: NDArray[np.floating],
     time_ns: NDArray[np.int64],
     *,
+    starts: NDArray[np.int64] | int = 0,
     thresholds: Thresholds = PAPER,
 ) -> dict[str, NDArray]:
     """Computes `found_series`, and in which rows the robot makes room for the human.
 
-    Further quantity: ``speed_m_s`` [T], NaN in row 0. Further flags [T]: ``near`` (L2 distance below ``avoid_m``),
-    ``backs_up`` and ``yields``, never both. Row 0 has no velocity and is neither.
+    The rows may be those of several episodes, one after another, which begin in the rows ``starts``.
+
+    Further quantity: ``speed_m_s`` [T], NaN in the first row of an episode. Further flags [T]: ``near`` (L2 distance below
+    ``avoid_m``), ``backs_up`` and ``yields``, never both. The first row has no velocity and is neither.
     """
     robot = _components(robot_pose)
     series, (forward_x, forward_z) = _found(robot, _components(human_pose), reach_m.astype(np.float64), thresholds)
@@ -80,6 +83,8 @@ def encounter_series(
     along[1:] = step_x * forward_x[:-1] + step_z * forward_z[:-1]  # backwards is against the heading before the step
     step[1:] = np.sqrt(step_x * step_x + step_z * step_z)
     dt[1:] = np.diff(time_ns) * 1e-9
+    if rows:
+        along[starts] = step[starts] = np.nan
     near = series["dist_m"] < thresholds.avoid_m
     backs_up = near & (along < -thresholds.still_m_s * dt)
     with np.errstate(divide="ignore", invalid="ignore"):

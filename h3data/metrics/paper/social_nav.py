@@ -1,4 +1,4 @@
-"""Computes the paper's social navigation metrics of one recording: S, SPS, F, CR, BYR, TD, FD.
+"""Computes the paper's social navigation metrics of recordings: S, SPS, F, CR, BYR, TD, FD.
 
 Formulas, sources and interpretations: `h3data.metrics.paper.social_nav_definitions`. What a recording cannot tell is NaN,
 and a note says why; nothing is guessed, and nothing undefined becomes 0.
@@ -6,12 +6,13 @@ and a note says why; nothing is guessed, and nothing undefined becomes 0.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.metrics.episode import Notes, first_moments
+from h3data.metrics.episode import Notes
 from h3data.metrics.metric import NAN, Series
 from h3data.metrics.paper.encounter import encounter_series, found_series
 from h3data.metrics.paper.protocol import protocol_deviations
@@ -22,47 +23,33 @@ from h3data.recording.records import Recording
 GEODESIC, COLLISION = "metrics.geodesic_agents", "metrics.collision"
 
 
-def compute_social_nav(recording: Recording, notes: Notes) -> Computed:
-    """Computes S, SPS, F, CR, BYR, TD and FD between the first robot and the first human."""
-    robot, human = find_agents(recording)
-    rows = len(recording)
-    series = social_nav_series(recording)
-    if GEODESIC not in recording.columns:
-        text = f"no column {GEODESIC}: 'found' uses the L2 distance, which sees through walls"
-        notes.add(("S", "SPS", "F", "FD"), text)
-    elif unknown := int(np.isnan(recording.columns[GEODESIC]).sum()):
-        notes.add(("S", "SPS", "F", "FD"), f"{unknown} of {rows} rows have no geodesic distance: not found there")
-    moments = first_moments(series, ("found", "collision"))
-    values = {"CR": _collision(series, rows, notes)}
-    values |= _distances(series, rows, notes)
-    if "S" in values:
-        found = int(series["found"].sum())
-        values |= (
-            {"SPS": 0.0, "F": 0.0} if not found else _against_oracle(recording, moments["found"] + 1, found, notes)
+def compute_social_nav(recordings: Sequence[Recording], notes: Sequence[Notes]) -> list[Computed]:
+    """Computes S, SPS, F, CR, BYR, TD and FD between the first robot and the first human of each recording."""
+    agents = [find_agents(recording) for recording in recordings]
+    series, offsets = _joined_series(recordings, agents)
+    touched = series.get("collision", np.zeros(offsets[-1], np.bool_))
+    found, contacts = _occurrences(series["found"], offsets), _occurrences(touched, offsets)
+    unseen = _occurrences(np.isnan(series["dist_m"]), offsets)
+    making_room = _occurrences(series["backs_up"] | series["yields"], offsets)
+    computed = []
+    for k, (recording, note, (robot, human)) in enumerate(zip(recordings, notes, agents, strict=True)):
+        distance = series["dist_m"][offsets[k] : offsets[k + 1]]
+        episode = _Counted(found[k], contacts[k], unseen[k].total, making_room[k].total, distance)
+        computed.append(
+            Computed(
+                values=_values(recording, episode, note),
+                robot=robot,
+                human=human,
+                moments={name: of.first for name, of in (("found", found[k]), ("collision", contacts[k])) if of.total},
+                protocol_deviations=protocol_deviations(recording),
+            )
         )
-        if recording.episode.task == "gfx_replay":
-            notes.add(("BYR",), "a gfx-replay has no time stamps: speeds assume its nominal frame rate")
-    return Computed(
-        values=values,
-        robot=robot,
-        human=human,
-        moments=moments,
-        protocol_deviations=protocol_deviations(recording),
-    )
+    return computed
 
 
 def social_nav_series(recording: Recording) -> Series:
     """Computes `encounter_series` between the first robot and the first human, and ``collision`` if recorded, each [T]."""
-    robot, human = find_agents(recording)
-    series = encounter_series(
-        recording.agent_column(robot, "base_pose"),
-        recording.agent_column(human, "base_pose"),
-        reach_distance(recording, robot, human),
-        recording.columns["time_ns"],
-    )
-    if COLLISION in recording.columns:
-        series["collision"] = recording.columns[COLLISION].astype(np.bool_)
-    return series
+    return _joined_series([recording], [find_agents(recording)])[0]
 
 
 def reach_distance(recording: Recording, robot: int, human: int) -> NDArray[np.float32]:
@@ -86,47 +73,125 @@ def following_rows(recording: Recording, robot: int, human: int) -> NDArray[np.b
     return found_series(robot_pose, human_pose, reach_distance(recording, robot, human))["found"]
 
 
-def _collision(series: Series, rows: int, notes: Notes) -> float:
-    if "collision" not in series or rows == 0:
+class _Occurrences(NamedTuple):
+    """Rows of one episode in which a flag holds."""
+
+    first: int
+    """Row within the episode; meaningless without occurrences."""
+    total: int
+
+
+class _Counted(NamedTuple):
+    """Series of one episode as far as they are counted."""
+
+    found: _Occurrences
+    contacts: _Occurrences
+    unseen: int
+    """Rows in which an agent has no pose."""
+    making_room: int
+    distance: NDArray[np.float64]
+    """L2 distance, shape [T] [m]; NaN where unseen."""
+
+
+def _joined_series(
+    recordings: Sequence[Recording], agents: Sequence[tuple[int, int]]
+) -> tuple[dict[str, NDArray], NDArray[np.int64]]:
+    """`social_nav_series` of recordings, one after another, and where each begins and ends, shape [E + 1].
+
+    ``collision`` is there if any of them has it.
+    """
+    offsets = np.cumsum([0, *map(len, recordings)])
+    pairs = list(zip(recordings, agents, strict=True))
+    series = encounter_series(
+        np.concatenate([recording.agent_column(robot, "base_pose") for recording, (robot, _) in pairs]),
+        np.concatenate([recording.agent_column(human, "base_pose") for recording, (_, human) in pairs]),
+        np.concatenate([reach_distance(recording, *pair) for recording, pair in pairs]),
+        np.concatenate([recording.columns["time_ns"] for recording in recordings]),
+        starts=offsets[:-1][np.diff(offsets) > 0],
+    )
+    contacts = [recording.columns.get(COLLISION) for recording in recordings]
+    if any(column is not None for column in contacts):
+        series["collision"] = np.concatenate(
+            [
+                np.zeros(len(recording), np.bool_) if column is None else column.astype(np.bool_)
+                for recording, column in zip(recordings, contacts, strict=True)
+            ]
+        )
+    return series, offsets
+
+
+def _occurrences(flags: NDArray[np.bool_], offsets: NDArray[np.int64]) -> list[_Occurrences]:
+    """Where a flag holds in each episode."""
+    rows = np.flatnonzero(flags)
+    bounds = np.searchsorted(rows, offsets)
+    first = np.append(rows, -1)[bounds[:-1]] - offsets[:-1]
+    return [_Occurrences(*each) for each in zip(first.tolist(), np.diff(bounds).tolist(), strict=True)]
+
+
+def _values(recording: Recording, episode: _Counted, notes: Notes) -> dict[str, float]:
+    geodesic = recording.columns.get(GEODESIC)
+    if geodesic is None:
+        text = f"no column {GEODESIC}: 'found' uses the L2 distance, which sees through walls"
+        notes.add(("S", "SPS", "F", "FD"), text)
+    elif unknown := int(np.count_nonzero(np.isnan(geodesic))):
+        text = f"{unknown} of {len(recording)} rows have no geodesic distance: not found there"
+        notes.add(("S", "SPS", "F", "FD"), text)
+    values = {"CR": _collision(recording, episode, notes)}
+    values |= _distances(episode, notes)
+    if "S" in values:
+        found = episode.found
+        values |= (
+            {"SPS": 0.0, "F": 0.0}
+            if not found.total
+            else _against_oracle(recording, found.first + 1, found.total, notes)
+        )
+        if recording.episode.task == "gfx_replay":
+            notes.add(("BYR",), "a gfx-replay has no time stamps: speeds assume its nominal frame rate")
+    return values
+
+
+def _collision(recording: Recording, episode: _Counted, notes: Notes) -> float:
+    rows = len(recording)
+    if COLLISION not in recording.columns or rows == 0:
         notes.add(("CR",), f"no column {COLLISION}" if rows else "the recording has no rows")
         return NAN
-    if not series["collision"].any():
+    if not episode.contacts.total:
         return 0.0
-    first = int(np.argmax(series["collision"]))
+    first = episode.contacts.first
     if first < rows - 1:
         notes.add(("CR",), f"the recording goes on after the first contact in row {first}")
     return 1.0
 
 
-def _distances(series: Series, rows: int, notes: Notes) -> dict[str, float]:
+def _distances(episode: _Counted, notes: Notes) -> dict[str, float]:
     """S, BYR, TD and FD; nothing if no row has both poses."""
-    distance = series["dist_m"]
-    seen = ~np.isnan(distance)
-    count = int(seen.sum())
+    distance = episode.distance
+    rows = len(distance)
+    count = rows - episode.unseen
     if count == 0:
         why = "the recording has no rows" if rows == 0 else "no row has a pose of both agents"
         notes.add(("S", "SPS", "F", "BYR", "TD", "FD"), why)
         return {}
-    if count < rows:
-        notes.add(("S", "BYR", "TD", "FD"), f"{rows - count} of {rows} rows lack a pose and are left out")
-    found = bool(series["found"].any())
+    if episode.unseen:
+        notes.add(("S", "BYR", "TD", "FD"), f"{episode.unseen} of {rows} rows lack a pose and are left out")
+    found = episode.found.total > 0
     values = {
         "S": float(found),
-        "BYR": int((series["backs_up"] | series["yields"]).sum()) / count,
-        "TD": _sum(distance[seen]) / count,
+        "BYR": episode.making_room / count,
+        "TD": _mean(distance),
     }
     if found:
-        after = distance[int(np.argmax(series["found"])) :]
-        after = after[~np.isnan(after)]
-        values["FD"] = _sum(after) / len(after)
+        values["FD"] = _mean(distance[episode.found.first :])
     else:
         notes.add(("FD",), "the robot never finds the human")
     return values
 
 
-def _sum(values: NDArray[np.float64]) -> float:
+def _mean(distance: NDArray[np.float64]) -> float:
+    """Mean of the distances that are known, of which there is at least one."""
+    known = distance[~np.isnan(distance)]
     # One after the other: np.sum adds pairwise, whose last bit depends on the number of rows and on NumPy's blocks.
-    return float(np.add.accumulate(values)[-1])
+    return float(np.add.accumulate(known)[-1]) / len(known)
 
 
 def _against_oracle(recording: Recording, steps: int, following: int, notes: Notes) -> dict[str, float]:

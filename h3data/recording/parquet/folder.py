@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import pyarrow as pa
@@ -16,12 +17,53 @@ import pyarrow.parquet as pq
 from h3data.errors import FormatError, InputError
 from h3data.recording.parquet.columns import conform
 from h3data.recording.parquet.files import FILES_PER_CHUNK, is_dataset, shard_files, shard_path
-from h3data.recording.parquet.records import DAMAGE, DatasetRecords
+from h3data.recording.parquet.records import DAMAGE, DatasetRecords, read_whole
 from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema
 from h3data.recording.schema import check_version, current_info
 from h3data.recording.storage import RemotePath, place, readable
 
 _OPEN_FILES = 4
+_READERS = 4
+"""Episode tables read at once: they are small, and in an object store each takes a round trip."""
+_BLOCK, _BLOCKS_KEPT = 64, 256
+
+
+class EpisodeRows(Sequence[dict[str, Any]]):
+    """The rows of an episode table as Python values, made when they are asked for.
+
+    Those of a million episodes would take gigabytes; the 16,384 used last are kept.
+    """
+
+    def __init__(self, table: pa.Table) -> None:
+        self._table, self._length = table, len(table)
+        self._block = lru_cache(maxsize=_BLOCKS_KEPT)(self._decoded)
+
+    def __len__(self) -> int:
+        return self._length
+
+    @overload
+    def __getitem__(self, index: int) -> dict[str, Any]: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[dict[str, Any]]: ...
+    def __getitem__(self, index: int | slice) -> dict[str, Any] | list[dict[str, Any]]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        if not -self._length <= index < self._length:
+            raise IndexError(f"There are {self._length} episodes, no {index}.")
+        block, at = divmod(index % self._length, _BLOCK)
+        return self._block(block)[at]
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return (row for block in range(-(-len(self) // _BLOCK)) for row in self._block(block))
+
+    def __reduce__(self) -> tuple[type[EpisodeRows], tuple[pa.Table]]:
+        return EpisodeRows, (self._table,)
+
+    def _decoded(self, block: int) -> list[dict[str, Any]]:
+        rows = self._table.slice(block * _BLOCK, _BLOCK).to_pylist()
+        for row in rows:
+            row["info"] = current_info(row["task"], row["schema_version"], row["info"])
+        return rows
 
 
 class DatasetFolder:
@@ -62,9 +104,8 @@ class DatasetFolder:
         """
         paths = shard_files(self.root, "meta/episodes")
         try:
-            tables = [
-                pq.read_table(readable(p), page_checksum_verification=True).replace_schema_metadata(None) for p in paths
-            ]
+            with ThreadPoolExecutor(_READERS) as pool:
+                tables = [table.replace_schema_metadata(None) for table in pool.map(read_whole, paths)]
             table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
             table = conform(table, EPISODE_SCHEMA)
             if tables and (lacking := [name for name in EPISODE_SCHEMA.names if name not in table.column_names]):
@@ -79,12 +120,9 @@ class DatasetFolder:
         return table
 
     @cached_property
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> Sequence[dict[str, Any]]:
         """`episodes` as Python values, ``info`` with the names of today."""
-        rows = self.episodes.to_pylist()
-        for row in rows:
-            row["info"] = current_info(row["task"], row["schema_version"], row["info"])
-        return rows
+        return EpisodeRows(self.episodes)
 
     def __len__(self) -> int:
         return len(self.episodes)
@@ -95,9 +133,10 @@ class DatasetFolder:
         Raises:
             InputError: there is no such episode.
         """
-        if not 0 <= index < len(self):
-            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(self) - 1}: {self.root}")
-        return self.rows[index]
+        rows = self.rows
+        if not 0 <= index < len(rows):
+            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(rows) - 1}: {self.root}")
+        return rows[index]
 
     def shard_of(self, row: Mapping[str, Any]) -> int:
         """Number of the files that hold an episode, from its row of `episodes`."""

@@ -38,6 +38,12 @@ _RESTORE = (
 )
 
 
+def read_whole(path: AnyPath) -> pa.Table:
+    """A small Parquet file: half the time of `pq.read_table`, which prepares for a folder of files."""
+    with pq.ParquetFile(readable(path), page_checksum_verification=True) as file:
+        return file.read(use_threads=False)
+
+
 class DatasetRecords:
     """The records of a dataset folder; tables of the shards read last are kept."""
 
@@ -52,7 +58,7 @@ class DatasetRecords:
         path = shard_path(self._root, f"h3/{kind}", shard)
         if version_numbers(self._version) < SIDECAR_SINCE.get(kind, (0, 0)) and not path.exists():
             return record_schema(SIDECARS[kind]).empty_table()
-        return pq.read_table(readable(path), page_checksum_verification=True)
+        return read_whole(path)
 
     def of_episodes(self, kind: str, shard: int, episodes: range) -> list[tuple[Any, ...]]:
         """The records of a kind of each of some consecutive episodes of one shard.

@@ -74,7 +74,8 @@ class Metrics:
         return self._compare() if self.paired else self._measure()
 
     def _measure(self) -> Outcome:
-        from h3data.metrics.batch import measure_tables, recordings
+        from h3data.metrics.batch import measure_tables
+        from h3data.metrics.reading import recordings
         from h3data.metrics.table_files import write_events, write_series, write_table
         from h3data.recording.finding import find_sources
 

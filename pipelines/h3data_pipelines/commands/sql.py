@@ -254,7 +254,7 @@ def _episodes(name: str, dataset: Dataset, profile: str | None, metrics: bool) -
 def _metrics(dataset: Dataset, profile: str | None) -> list[dict[str, float | None]]:
     """The metrics of each episode by name; empty where the profile does not apply to the task or recording."""
     from h3data.metrics import measure
-    from h3data.metrics.batch import recordings
+    from h3data.metrics.reading import recordings
 
     by_episode: list[dict[str, float | None]] = []
     for recording in recordings([dataset.root], profile):

@@ -1,0 +1,102 @@
+"""Recordings for measuring, from datasets with no more than a profile reads, many short episodes at a time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from h3data.errors import FormatError, InputError
+from h3data.metrics.profile import Profile
+from h3data.metrics.registry import profile_for, profiles_named
+from h3data.metrics.requirements import stored_columns
+from h3data.recording import Dataset, Recording, open_recording
+from h3data.recording.storage import AnyPath
+
+_CHUNK, _CHUNK_ROWS = 128, 50_000
+"""Most episodes and rows that are read together from a dataset: some MB."""
+
+
+def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterator[Recording]:
+    """Yields the recordings of datasets and logs, from datasets with no more than the profile reads.
+
+    Args:
+        sources: From `find_sources`.
+        profile: As in `measure_files`.
+    """
+    for source in sources:
+        opened = open_recording(source)
+        if isinstance(opened, Recording):
+            yield opened
+        else:
+            for chunk in chunks_of(opened, range(len(opened))):
+                yield from _stored(opened, chunk, profile)
+
+
+def only(source: AnyPath) -> Recording:
+    """Returns the recording in a file that is not a dataset."""
+    opened = open_recording(source)
+    if isinstance(opened, Dataset):
+        raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}")
+    return opened
+
+
+def read_log(source: AnyPath) -> Recording | FormatError:
+    """The recording in a log; if it is damaged, why."""
+    try:
+        return only(source)
+    except FormatError as error:
+        return error
+
+
+def read_chunk(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[tuple[int, Recording | FormatError]]:
+    """Episodes of a dataset by their numbers; from the first damaged one on each by itself."""
+    first = chunk.start
+    try:
+        for index, recording in zip(chunk, _stored(dataset, chunk, profile), strict=True):
+            yield index, recording
+            first = index + 1
+    except FormatError as error:
+        if len(chunk) == 1:
+            yield chunk.start, error
+            return
+        for index in range(first, chunk.stop):
+            yield from read_chunk(dataset, range(index, index + 1), profile)
+
+
+def chunks_of(dataset: Dataset, episodes: range) -> Iterator[range]:
+    """Consecutive episodes that are read together, all of one shard, so that nobody opens its files twice."""
+    start, steps, shard = episodes.start, 0, -1
+    for index in episodes:
+        row = dataset.rows[index]
+        full = index - start == _CHUNK or steps + row["length"] > _CHUNK_ROWS
+        if index > start and (full or dataset.shard_of(row) != shard):
+            yield range(start, index)
+            start, steps = index, 0
+        steps, shard = steps + row["length"], dataset.shard_of(row)
+    if len(episodes):
+        yield range(start, episodes.stop)
+
+
+def _stored(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Recording]:
+    """Episodes of a dataset with no more than the profile reads of them."""
+    declared = [c.name for c in dataset.schema.columns]
+    agents = sum(name.endswith(".base_pose") for name in declared)
+    metrics = {m.id: m for p in _profiles(dataset, chunk, profile) for m in p.metrics}.values()
+    wanted = set(stored_columns(metrics, agents))
+    columns = [name for name in declared if name in wanted]
+    events = any(name.startswith("events:") for m in metrics for name in (*m.columns, *m.optional))
+    return dataset.recordings(chunk, columns=columns, records=("agents", "events") if events else ("agents",))
+
+
+def _profiles(dataset: Dataset, chunk: range, profile: str | None) -> Iterable[Profile]:
+    """The profiles that will measure the episodes of a chunk, told by their tasks and their info."""
+    if profile is not None:
+        return profiles_named(profile)
+    rows = [dataset.rows[index] for index in chunk]
+    return [profile_for(row["task"], _info(row["info"])) for row in rows]
+
+
+def _info(text: str | None) -> dict[str, Any]:
+    # Parsed only if it can matter: the info of a generated episode is some kilobytes.
+    return json.loads(text) if text and '"profile"' in text else {}
