@@ -165,7 +165,7 @@ def light_field(
     away = -normalized(bright[:, 1::2] - bright[:, 0::2] + np.array([0, 1e-9, 0]))
     reach = np.zeros(usable.shape, np.float32)
     reach[usable] = voxels.cell_m * free_path(
-        distance, place[usable].astype(np.float64), away, _FARTHEST_M / voxels.cell_m
+        distance, place[usable].astype(np.float64), away.astype(np.float64), _FARTHEST_M / voxels.cell_m
     )
     return LightField(voxels.origin, n * voxels.cell_m, cube, reach, mean, flat)
 

@@ -130,7 +130,8 @@ def _load(path: Path, originals: Sequence[Mesh]) -> Baked:
                 None if n < 0 else values[end - n : end] for n, end in zip(counts.tolist(), ends.tolist(), strict=True)
             ]
         grid: dict[str, Any] = {name: file[f"field.{name}"] for name in _FIELD}
-        field = LightField(**grid | {name: float(grid[name]) for name in ("spacing_m", "mean")})
+        grid |= {name: float(grid[name]) for name in ("spacing_m", "mean")}
+        field = LightField(**grid)
     mirrors = columns.pop("mirrors")
     rows = zip(*columns.values(), strict=True)
     meshes = [
