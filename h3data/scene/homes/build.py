@@ -139,7 +139,7 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
 
 
 def _name(spec: HomeSpec) -> str:
-    options = "".join(f"_{name}_{value:g}" for name, value in spec.changes.items())
+    options = "".join(f"_{name}_{v if isinstance(v, str) else f'{v:g}'}" for name, v in spec.changes.items())
     return f"home_{spec.preset}_{int(spec.seed)}{options}"
 
 
