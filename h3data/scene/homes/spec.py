@@ -141,7 +141,7 @@ class HomeSpec:
         return changed
 
 
-_SPARE_FOR = (("office", 9.0), ("laundry", 5.0), ("garage", 26.0), ("den", 40.0))
+_SPARE_FOR = (("office", 13.0), ("laundry", 5.0), ("garage", 26.0), ("den", 40.0))
 """Rooms that a home of the second generation gets, in this order, with the area that each must leave spare [m2]."""
 
 

@@ -10,7 +10,7 @@ _STEEL, _GLASS, _WOOD = "steel", (206, 222, 226), (186, 142, 92)
 
 def _plate(r: float, h: float = 0.02) -> tuple:
     outer, inner = ((0, 0), (0.55 * r, 0), (0.62 * r, 0.35 * h), (r, h)), ((r, h), (0.64 * r, 0.45 * h), (0, 0.3 * h))
-    return lathe("ceramic", *outer, n=18), lathe("ceramic*1.05", *inner, n=18)
+    return lathe("ceramic", *outer, n=18), lathe("ceramic*0.93", *inner, n=18)
 
 
 def _vessel(color: str, r: float, h: float, wall: float = 0.004, *, n: int = 16) -> tuple:
