@@ -125,13 +125,13 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
             x, z = x0 + (i + 0.5) * (x1 - x0) / nx, z0 + (k + 0.5) * (z1 - z0) / nz
             home.furniture(Placed(piece=lamp, room=room.name, x=x, z=z, quarter=0, y=WALL_HEIGHT, layer="ceiling"))
     rng = stage_rng(spec, "clutter", attempt)
-    if spec.generation == 1:
+    if spec.look is None:
         variants = object_assets(rng, style)
         things = clutter(rng, variants, pieces, spec.clutter)
         used = {i.asset for i in things}
         home.assets.update({a.name: a for group in variants.values() for a in group if a.name in used})
     else:
-        things, assets = leave_about(rng, style, states, pieces, spec.clutter)
+        things, assets = leave_about(rng, spec.look, states, pieces, spec.clutter)
         home.assets.update(assets)
     rooms = tuple(
         Room(name=r.name, category=r.category, rectangles=np.array([r.rect], np.float64)) for r in layout.rooms

@@ -77,7 +77,7 @@ _LIMITS: Limits = {
     "den": (3.0, 11.0, 40.0, 2.1),
     "balcony": (1.4, 3.0, 24.0, 9.0),
 }
-_LIMITS_2 = {**_LIMITS, "living": (3.1, 14.0, 38.0, 2.0)}
+_LIMITS_2 = {**_LIMITS, "living": (3.5, 15.0, 38.0, 1.9)}
 _MUST_TOUCH = {
     ("living", "kitchen"): 2.0,
     ("living", "hall"): 1.3,
@@ -128,7 +128,7 @@ def with_balcony(rng: np.random.Generator, tiles: list[Tile], width: float, dept
         ((x0 == 0, x1 - x0), (z0 == 0, z1 - z0), (abs(x1 - width) < 0.006, x1 - x0), (abs(z1 - depth) < 0.006, z1 - z0))
     ):
         long = rect_area(rect) / spare
-        if outside and spare - deep > 3.1 and 2.6 < long < 12:
+        if outside and spare - deep > 3.5 and 2.6 < long < 12:
             options.append(side)
     if not options:
         return tiles

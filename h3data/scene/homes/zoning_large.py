@@ -32,8 +32,9 @@ LARGE_FROM_M2, LARGE_FROM_BEDROOMS = 215.0, 6
 _GALLERY, _BRANCH, _NARROW = (2.0, 2.5), (1.5, 1.7), (1.4, 1.6)
 _SERVICE_FROM_M2 = 420.0
 """Above this area, kitchens have a pantry and a laundry, and galleries are wide."""
-_TRIALS, _WORST, _WORST_2 = 250, 3.0, 6.0
-"""Plans tried per footprint shape, and the largest acceptable penalty by generation: homes of the second have more rooms."""
+_TRIALS, _WORST, _WORST_2, _GOOD_2 = 250, 3.0, 6.0, 2.0
+"""Plans tried per footprint shape, and the largest acceptable penalty by generation: homes of the second have more
+rooms, and their search ends at a plan below the last number."""
 
 _LIMITS: Limits = {
     "living": (4.5, 24.0, 125.0, 2.1),
@@ -324,7 +325,7 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
     tiles = [(kind, rounded(rect)) for kind, rect in tiles]
     limits = {k: (side, min(1.0, scale) * least, most, aspect) for k, (side, least, most, aspect) in _LIMITS.items()}
     if program.generation > 1:  # behind a balcony
-        limits["living"] = (3.2, *limits["living"][1:])
+        limits["living"] = (3.5, *limits["living"][1:])
     penalty = size_penalty(tiles, limits, max(1.0, scale / 1.35))
     penalty += 50 * max(0.0, abs(sum(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
     penalty += 30 * max(0.0, whole / width - 1.1, width / whole - 2.3)
@@ -356,7 +357,7 @@ def plan_large_zoning(spec: HomeSpec, attempt: int, sound: Callable[[Zoning], bo
             penalty, plan = _gallery_plan(rng, spec.program, shapes[k])
             if (best is None or penalty < best[0]) and penalty < worst and sound(plan):
                 best = (penalty, plan)
-                if penalty == 0:
+                if penalty == 0 or (spec.generation > 1 and penalty < _GOOD_2):
                     break
         if best is not None:
             return best[1]

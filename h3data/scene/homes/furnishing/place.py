@@ -28,7 +28,7 @@ GAP_BAND = (0.45, 0.60)
 CRUMB_M2 = 0.002
 """Smaller areas of cut-off floor or pockets are rounding errors [m2]."""
 _DOOR_DEPTH = 0.8
-_OPEN_DEPTH, _OPEN_FROM = 0.5, 2.6
+_OPEN_DEPTH, _OPEN_FROM = 0.36, 2.6
 """Free floor on both sides of openings wider than this in homes of the second generation [m]."""
 _TALL = 0.88
 """Taller furniture does not stand in front of windows [m]."""

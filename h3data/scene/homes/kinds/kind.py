@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.mesh.mesh import Mesh
 from h3data.scene.homes.furnishing.furniture import Furniture, box_part, cylinder_part, surface
 from h3data.scene.homes.kinds import parts as shapes
 from h3data.scene.homes.kinds.colours import colours_of
@@ -160,11 +161,27 @@ def _sampled_scale(kind: Kind, rng: np.random.Generator) -> NDArray[np.float64]:
     return np.array([rng.uniform(*r) for r in ranges])
 
 
-def _builder(kind: Kind, rng: np.random.Generator, style: Style, scale: NDArray[np.float64]) -> MeshBuilder:
-    mesh, color = MeshBuilder(), colours_of(rng, style)
-    for part in kind.parts:
-        shapes.add(mesh, part, color(part.color), scale)
-    return mesh
+class KindBuilder(MeshBuilder):
+    """A model whose parts are collected only when its mesh is asked for: most pieces are tried and discarded."""
+
+    def __init__(self, kind_parts: Sequence[Part], seed: int, style: Style, scale: NDArray[np.float64]) -> None:
+        super().__init__()
+        self._later = kind_parts, seed, style, scale
+
+    def mesh(self) -> Mesh:
+        if self._mesh is None:
+            parts, seed, style, scale = self._later
+            color = colours_of(np.random.default_rng(seed), style)
+            for part in parts:
+                shapes.add(self, part, color(part.color), scale)
+        return super().mesh()
+
+
+def builder_of(
+    kind_parts: Sequence[Part], rng: np.random.Generator, style: Style, scale: NDArray[np.float64]
+) -> MeshBuilder:
+    """The model of some parts in random colours of a style."""
+    return KindBuilder(kind_parts, int(rng.integers(1 << 62)), style, scale)
 
 
 def _collision(kind: Kind, scale: NDArray[np.float64], origin: NDArray[np.float64]) -> tuple[Shape, ...]:
@@ -215,7 +232,7 @@ def furniture_of(kind: Kind, rng: np.random.Generator, style: Style) -> Furnitur
     ]
     return Furniture(
         category=kind.name,
-        builder=_builder(kind, rng, style, scale),
+        builder=builder_of(kind.parts, rng, style, scale),
         shapes=_collision(kind, scale, np.zeros(3)),
         receptacles=tuple(receptacles),
         size=(float(w), float(tall), float(d)),
@@ -227,7 +244,7 @@ def furniture_of(kind: Kind, rng: np.random.Generator, style: Style) -> Furnitur
 def thing_of(kind: Kind, rng: np.random.Generator, style: Style, name: str) -> Asset:
     """A small thing as an asset whose origin is the middle of its bounding box."""
     scale = _sampled_scale(kind, rng)
-    mesh = _builder(kind, rng, style, scale).mesh()
+    mesh = builder_of(kind.parts, rng, style, scale).mesh()
     middle = mesh.bounds.astype(float).mean(0)
     mesh = replace(mesh, vertices=mesh.vertices - middle.astype(np.float32))
     return Asset(name=name, mesh=mesh, category=kind.name, shapes=_collision(kind, scale, middle))

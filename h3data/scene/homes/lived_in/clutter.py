@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,13 +13,14 @@ from h3data.scene.homes.furnishing.objects import OBJECT_MAKERS, renamed
 from h3data.scene.homes.furnishing.place import RoomState, footprint, overlap
 from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.kinds.kind import thing_of
+from h3data.scene.homes.lived_in.looks import thing_style
 from h3data.scene.homes.lived_in.habits import CHANCE, ON_FLOOR, ON_FURNITURE, Habit
-from h3data.scene.homes.style import Style
+from h3data.scene.homes.spec import Look
 from h3data.scene.homes.zoning import Rect
 from h3data.scene.records import Asset, Instance, Receptacle
 
-_VARIANTS = 2
-"""Different things of one kind in a home."""
+_VARIANTS = 3
+"""Different models of one kind of thing in each style."""
 _LIFT, _APART = 0.001, 0.012
 """Height of things above what they lie on, so that no contact is reported, and least distance between them [m]."""
 _TRIES = 6
@@ -30,26 +32,30 @@ _SEAT_M = 0.62
 """Width of a place at a table."""
 
 
+@lru_cache(maxsize=2048)  # 10 kB each
+def model_of(kind: str, look: Look, variant: int) -> Asset:
+    """One of the models of a kind of thing in a style; homes share them."""
+    name = f"{kind}_{look}_{variant}"
+    rng = np.random.default_rng(list(name.encode()))
+    if KINDS[kind].parts:
+        return thing_of(KINDS[kind], rng, thing_style(look), name)
+    return renamed(OBJECT_MAKERS[kind](rng, thing_style(look)), name)
+
+
 @dataclass
 class _Things:
     """Instances so far, and the assets that they use, made when they are first needed."""
 
     rng: np.random.Generator
-    style: Style
+    look: Look
     made: dict[str, Asset] = field(default_factory=dict)
     instances: list[Instance] = field(default_factory=list)
     count: dict[str, int] = field(default_factory=dict)
 
     def sample(self, kind: str) -> Asset:
-        name = f"{kind}_model_{int(self.rng.integers(_VARIANTS))}"
-        if name not in self.made:
-            # Its own stream, so that a model does not depend on what was made before it.
-            rng = np.random.default_rng([int(b) for b in name.encode()] + [int(self.rng.integers(1 << 30))])
-            if KINDS[kind].parts:
-                self.made[name] = thing_of(KINDS[kind], rng, self.style, name)
-            else:
-                self.made[name] = renamed(OBJECT_MAKERS[kind](rng, self.style), name)
-        return self.made[name]
+        asset = model_of(kind, self.look, int(self.rng.integers(_VARIANTS)))
+        self.made[asset.name] = asset
+        return asset
 
     def put(self, asset: Asset, frame: np.ndarray, at: Sequence[float], heading: float) -> None:
         """Adds an instance with its underside at ``at`` [3] in a frame given by its pose [7]."""
@@ -217,7 +223,7 @@ def _numbers(rng: np.random.Generator, habit: Habit, amount: float) -> int:
 
 def leave_about(
     rng: np.random.Generator,
-    style: Style,
+    look: Look,
     states: Sequence[RoomState],
     furniture: Sequence[tuple[Instance, Asset]],
     amount: float = 1.0,
@@ -227,7 +233,7 @@ def leave_about(
     None overlap, every thing lies within its receptacle and fits under its clearance. ``amount`` scales probabilities and
     numbers.
     """
-    things = _Things(rng, style)
+    things = _Things(rng, look)
     if amount <= 0:
         return [], {}
     for instance, asset in furniture:
@@ -245,16 +251,17 @@ def leave_about(
                 habit = habits[int(rng.choice(len(habits), p=weights / weights.sum()))]
                 _MANNERS[habit.manner](things, habit, _numbers(rng, habit, amount), board, frame)
     for state in states:
+        taken = [footprint(p) for p in state.placed if p.y < 0.6 and p.piece.category not in ("rug", "picture")]
+        taken += state.keep
         for habit in ON_FLOOR.get(state.room.category, ()):
-            _on_floor(things, habit, _numbers(rng, habit, amount), state)
+            _on_floor(things, habit, _numbers(rng, habit, amount), state, taken)
     used = {i.asset for i in things.instances}
     return things.instances, {name: asset for name, asset in things.made.items() if name in used}
 
 
-def _on_floor(things: _Things, habit: Habit, count: int, state: RoomState) -> None:
-    """Things close to the walls of a room, clear of furniture and doors."""
+def _on_floor(things: _Things, habit: Habit, count: int, state: RoomState, taken: list[Rect]) -> None:
+    """Things close to the walls of a room, clear of the rectangles ``taken``, to which theirs are added."""
     rng, (x0, z0, x1, z1) = things.rng, state.interior
-    taken = [footprint(p) for p in state.placed if p.y < 0.6 and p.piece.category not in ("rug", "picture")]
     for _ in range(count):
         asset = things.sample(str(rng.choice(habit.kinds)))
         w, _, d = _size(asset)
@@ -272,7 +279,7 @@ def _on_floor(things: _Things, habit: Habit, count: int, state: RoomState) -> No
             else:
                 x = x0 + gap + half[0] if side == 1 else x1 - gap - half[0]
             rect = (x - half[0], z - half[1], x + half[0], z + half[1])
-            if any(overlap(rect, r, -0.02) for r in (*taken, *state.keep)):
+            if any(overlap(rect, r, -0.02) for r in taken):
                 continue
             taken.append(rect)
             heading = side * np.pi / 2 + (0.0 if both or KINDS[asset.category].aligned else float(rng.uniform(-0.08, 0.08)))

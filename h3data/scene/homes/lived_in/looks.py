@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -185,6 +186,14 @@ LOOKS: Mapping[Look, Palette] = {
 
 _OPEN = ("living", "hall", "kitchen", "dining")
 _WET = ("kitchen", "pantry", "bathroom", "laundry")
+
+
+@cache
+def thing_style(look: Look) -> Style:
+    """The palette for small things, which all homes of a style share."""
+    seed = np.frombuffer(look.encode().ljust(16, b"\0")[:16], "<u8").astype(np.uint64)
+    nowhere = Layout(width=1.0, depth=1.0, rooms=(), openings=())
+    return sample_look(np.random.Generator(np.random.Philox(key=seed)), nowhere, look)
 
 
 def sample_look(rng: np.random.Generator, layout: Layout, look: Look) -> Style:

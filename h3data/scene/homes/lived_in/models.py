@@ -9,8 +9,7 @@ import numpy as np
 
 from h3data.scene.homes.furnishing.furniture import Furniture
 from h3data.scene.homes.furnishing.place import Placed, RoomState
-from h3data.scene.homes.kinds import parts as shapes
-from h3data.scene.homes.kinds.colours import colours_of
+from h3data.scene.homes.kinds.kind import builder_of
 from h3data.scene.homes.kinds.parts import Nested, ball, box, flat, lathe, leaves, legs, line, rod, soft
 from h3data.scene.homes.lived_in.pictures import picture
 from h3data.scene.homes.solids import MeshBuilder
@@ -84,10 +83,7 @@ _KEEP = 0.25
 
 
 def _remodelled(piece: Furniture, model: tuple[Nested, ...], rng: np.random.Generator, style: Style) -> Furniture:
-    mesh, color, scale = MeshBuilder(), colours_of(rng, style), np.array([piece.size[0], piece.size[1], piece.size[2]])
-    for part in flat(model):
-        shapes.add(mesh, part, color(part.color), scale)
-    return replace(piece, builder=mesh)
+    return replace(piece, builder=builder_of(flat(model), rng, style, np.array(piece.size)))
 
 
 def _other_sofa(piece: Furniture, rng: np.random.Generator, style: Style) -> Furniture:

@@ -16,7 +16,7 @@ from h3data.scene.homes.furnishing import furniture_kitchen as kitchen
 from h3data.scene.homes.furnishing import furniture_living as living
 from h3data.scene.homes.furnishing.furniture import Furniture
 from h3data.scene.homes.furnishing.groups import backed, hang, hang_pictures, in_a_row, need, place_rug, place_single
-from h3data.scene.homes.furnishing.place import Member, RoomState, side_span
+from h3data.scene.homes.furnishing.place import Member, RoomState, overlap, side_span, strip
 from h3data.scene.homes.furnishing.search import place_at_wall, place_free
 from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.kinds.kind import furniture_of
@@ -51,7 +51,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "pantry": ("freezer_chest", "wine_rack", "trash_bin", "moving_boxes"),
     "garage": (
         "tool_cabinet", "tyre_stack", "moving_boxes", "lawn_mower", "step_ladder", "freezer_chest", "trash_bin",
-        "water_heater", "bicycle", "exercise_bike",
+        "water_heater", "exercise_bike",
     ),
     "balcony": ("flower_box", "planter", "grill", "parasol", "drying_rack", "planter", "flower_box", "stool"),
 }  # fmt: skip
@@ -63,7 +63,7 @@ ON_WALL: Mapping[str, tuple[tuple[str, float], ...]] = {
     "dining": (("sun_mirror", 1.6), ("wall_clock", 1.75), ("wall_lamp", 1.7)),
     "kitchen": (("calendar", 1.6), ("wall_clock", 1.8), ("wall_shelf", 1.55), ("hanging_plant", 1.8)),
     "bedroom": (("wall_lamp", 1.6), ("wall_shelf", 1.55), ("radiator", 0.42), ("sun_mirror", 1.6)),
-    "child": (("pennants", 1.95), ("growth_chart", 1.0), ("wall_shelf", 1.3), ("radiator", 0.42)),
+    "child": (("pennants", 1.95), ("growth_chart", 1.0), ("wall_shelf", 1.45), ("radiator", 0.42)),
     "office": (("whiteboard", 1.5), ("cork_board", 1.5), ("calendar", 1.6), ("wall_clock", 1.8), ("wall_shelf", 1.6)),
     "bathroom": (("towel_rail", 1.25), ("radiator", 0.45), ("wall_shelf", 1.5)),
     "hall": (("coat_hooks", 1.7), ("key_rack", 1.5), ("thermostat", 1.45), ("wall_lamp", 1.75), ("radiator", 0.42)),
@@ -76,6 +76,8 @@ _FROM_M2 = 5.5
 """Floor per extra piece [m2]."""
 _MOST_EXTRAS, _LARGE_EXTRAS = 4, 7
 _WALL_TRIES = 5
+_REACH_OVER_M = 0.55
+"""Deeper furniture has no shelf above it."""
 
 
 def model(name: str, rng: np.random.Generator, style: Style) -> Furniture:
@@ -100,8 +102,17 @@ def _on_walls(rng: np.random.Generator, style: Style, state: RoomState) -> None:
         piece = model(name, rng, style)
         for _ in range(_WALL_TRIES):
             side = int(rng.integers(4))
-            if hang(state, piece, side, float(rng.uniform(*side_span(state.interior, side))), y):
+            u = float(rng.uniform(*side_span(state.interior, side)))
+            if piece.receptacles and _above_deep(state, side, u, piece.size[0] / 2 + 0.2):
+                continue
+            if hang(state, piece, side, u, y):
                 break
+
+
+def _above_deep(state: RoomState, side: int, u: float, half: float) -> bool:
+    """Whether furniture too deep to reach over stands at a stretch of wall."""
+    rect = strip(state.interior, side, u - half, u + half, 0.9)
+    return any(overlap(rect, s) and min(s[2] - s[0], s[3] - s[1]) > _REACH_OVER_M for s in state.solids)
 
 
 # --- new kinds of rooms -----------------------------------------------------------------------------------------------
@@ -133,7 +144,7 @@ def _desk(rng: np.random.Generator, style: Style, state: RoomState) -> object:
     chair = Member(
         piece=seat,
         x=desk.size[0] / 2 - sleeping.DESK_DRAWERS - seat.size[0] / 2 - 0.03,
-        z=desk.wall_gap_m + desk.size[2] + sleeping.chair_reach(rng) - seat.size[2] / 2 + 0.1,
+        z=desk.wall_gap_m + desk.size[2] + sleeping.chair_reach(rng) - seat.size[2] / 2,
         quarter=2,
         yaw=float(rng.uniform(-0.06, 0.06)),
     )
@@ -178,7 +189,7 @@ def _furnish_balcony(rng: np.random.Generator, style: Style, state: RoomState, d
     """A table with two folding chairs, or a deck chair."""
     del dining
     table, seat = model("balcony_table", rng, style), model("folding_chair", rng, style)
-    x = table.size[0] / 2 + seat.size[2] / 2 - 0.04
+    x = table.size[0] / 2 + seat.size[2] / 2 + 0.02
     z = table.wall_gap_m + table.size[2] / 2
     chairs = [Member(piece=seat, x=s * x, z=z, quarter=3 if s > 0 else 1) for s in (1, -1)]
     for members in ([Member(piece=table, z=z), *chairs], [Member(piece=table, z=z), chairs[0]]):
