@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import get_args
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,6 +34,8 @@ VIEW_PX = (480, 320)
 
 def _labelled(picture: Picture, text: str, *, scale: float = 0.45) -> Picture:
     """A picture with a line of text above it."""
+    import cv2
+
     height = LABEL_PX if scale < 0.4 else 24
     head = np.full((height, picture.shape[1], 3), PAPER, np.uint8)
     cv2.putText(head, text, (4, height - 5), cv2.FONT_HERSHEY_SIMPLEX, scale, INK, 1, cv2.LINE_AA)
@@ -78,7 +79,9 @@ def mesh_picture(mesh: Mesh, *, size_px: int = CELL_PX) -> Picture:
 def kinds_sheet() -> Picture:
     """All kinds of the second generation."""
     kinds = [k for k in KINDS.values() if k.parts]
-    return _grid([_labelled(kind_picture(k), k.name.replace("_", " "), scale=0.32) for k in kinds], COLUMNS)
+    cells = [kind_picture(k, seed=n, look=get_args(Look)[n % len(get_args(Look))]) for n, k in enumerate(kinds)]
+    names = [k.name.replace("_", " ") for k in kinds]
+    return _grid([_labelled(c, n, scale=0.32) for c, n in zip(cells, names, strict=True)], COLUMNS)
 
 
 # --- homes ------------------------------------------------------------------------------------------------------------
@@ -110,7 +113,10 @@ def styles_sheet() -> Picture:
 
 ROOMS: Sequence[tuple[HomeSpec, tuple[str, ...]]] = (
     (HomeSpec(seed=7, preset="medium", generation=2), ("living", "bedroom", "child", "office", "laundry")),
-    (HomeSpec(seed=5, preset="medium", area_m2=210, generation=2), ("garage", "balcony", "kitchen", "hall", "bathroom")),
+    (
+        HomeSpec(seed=5, preset="medium", area_m2=210, generation=2),
+        ("garage", "balcony", "kitchen", "hall", "bathroom"),
+    ),
 )
 
 

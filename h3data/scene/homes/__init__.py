@@ -25,4 +25,22 @@ def build_home(spec: HomeSpec) -> Scene:
     return build(spec)
 
 
-__all__ = ["CATEGORIES", "HOME_NAMES", "HOME_PRESETS", "OBJECT_CATEGORIES", "HomePreset", "HomeSpec", "build_home"]
+def categories_of(scene: Scene) -> list[str]:
+    """Names of semantic classes in the order of their ids: of the first generation or, for homes of the second, of all."""
+    if scene.source.get("kind") != "home" or scene.source.get("generation", 1) == 1:
+        return list(CATEGORIES)
+    from h3data.scene.homes.kinds import KINDS
+
+    return list(KINDS)
+
+
+__all__ = [
+    "CATEGORIES",
+    "HOME_NAMES",
+    "HOME_PRESETS",
+    "OBJECT_CATEGORIES",
+    "HomePreset",
+    "HomeSpec",
+    "build_home",
+    "categories_of",
+]

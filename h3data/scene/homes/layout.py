@@ -375,7 +375,11 @@ def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
     outer = _plan_outer(stage_rng(spec, "outer", attempt), rooms)
     openings = tuple(replace(o, span=(round(o.span[0], 3), round(o.span[1], 3))) for o in doors + outer)
     return Layout(
-        width=plan.width, depth=plan.depth, rooms=rooms, openings=openings, notches=plan.notches,
+        width=plan.width,
+        depth=plan.depth,
+        rooms=rooms,
+        openings=openings,
+        notches=plan.notches,
         open_plan=spec.generation > 1,
     )
 

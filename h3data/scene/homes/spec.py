@@ -13,9 +13,7 @@ import numpy as np
 from h3data.errors import InputError
 
 Preset = Literal["small", "medium", "large"]
-Look = Literal[
-    "nordic", "industrial", "rustic", "mid_century", "mediterranean", "classic", "japandi", "colourful"
-]
+Look = Literal["nordic", "industrial", "rustic", "mid_century", "mediterranean", "classic", "japandi", "colourful"]
 """Styles of homes of the second generation."""
 
 

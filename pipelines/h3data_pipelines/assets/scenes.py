@@ -65,8 +65,8 @@ class ScenesList:
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]] = ()
-    """A preset (small, medium, large, small2, ...), one home (small:3, small2:3), a set (h3-homes/test, a .toml file), one of its scenes
-    (h3-homes/test#3) or paths of scenes (default: list presets and sets)."""
+    """A preset (small, medium, large, small2, ...), one home (small:3), a set (h3-homes/test, a .toml file), one of
+    its scenes (h3-homes/test#3) or paths of scenes (default: list presets and sets)."""
     homes: int = 4
     """Number of homes to list per preset."""
     assets: AssetsOption = ()
@@ -264,7 +264,8 @@ class ScenesValidate:
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """A preset (small, medium, large, small2, ...), one home (small:3, small2:3), a set (h3-homes/test, a .toml file) or paths of scenes."""
+    """A preset (small, medium, large, small2, ...), one home (small:3), a set (h3-homes/test, a .toml file) or paths of
+    scenes."""
     homes: int = 4
     """Number of homes to check per preset."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None

@@ -66,13 +66,12 @@ _LAUNDRY = (
 
 
 def _shoe(sole: str, upper: str, *, tall: float = 0.0) -> tuple:
-    parts = (
+    return (
         box(sole, 0, 0, 0, 0.085, 0.022, 0.27, bevel=0.01),
         soft(upper, 0, 0.015, 0.055, 0.08, 0.05, 0.15, 0.024),
         soft(upper, 0, 0.015, -0.065, 0.078, 0.075 + tall, 0.13, 0.03),
         box("black", 0, 0.088 + tall, -0.065, 0.045, 0.004, 0.08),
     )
-    return parts
 
 
 _CLOTHES = (
@@ -196,15 +195,16 @@ _DECOR = (
     thing("table_lamp", 1.4, "body", lathe("clay", (0, 0), (0.05, 0), (0.07, 0.06), (0.05, 0.14), (0.018, 0.18)), rod("metal",
           0, 0.18, 0, 0.008, 0.06, n=8), lathe("lampshade", (0.13, 0.22), (0.085, 0.38), n=18), lathe("lampshade*1.05",
           (0.083, 0.38), (0.128, 0.22), n=18), solid="round"),
-    thing("lantern", 0.7, "handle", box("black", 0, 0, 0, 0.13, 0.014, 0.13), tuple(box("black", 0.058 * sx, 0.014, 0.058 * sz,
-          0.01, 0.19, 0.01) for sx in (-1, 1) for sz in (-1, 1)), rod("black", 0, 0.2, 0, 0.09, 0.05, top=0.02, n=4,
-          turn=(0, 45, 0)), rod("linen", 0, 0.014, 0, 0.03, 0.1), arc("black", 0, 0.25, 0.03, 0, 180, 0.004), hold=(0, 0.28, 0)),
+    thing("lantern", 0.7, "handle", box("black", 0, 0, 0, 0.13, 0.014, 0.13), tuple(box("black", 0.058 * sx, 0.014, 0.058 *
+        sz, 0.01, 0.19, 0.01) for sx in (-1, 1) for sz in (-1, 1)), rod("black", 0, 0.2, 0, 0.09, 0.05, top=0.02, n=4,
+        turn=(0, 45, 0)), rod("linen", 0, 0.014, 0, 0.03, 0.1), arc("black", 0, 0.25, 0.03, 0, 180, 0.004), hold=(0, 0.28,
+        0)),
     thing("basket", 0.6, "rim", lathe("rattan", (0, 0), (0.1, 0), (0.125, 0.07), (0.12, 0.15), (0.113, 0.15), (0.095, 0.02),
           (0, 0.02), n=16), solid="round"),
     thing("snow_globe", 0.5, "body", rod("wood_dark", 0, 0, 0, 0.05, 0.035, top=0.042, n=14), ball((214, 230, 238), 0, 0.075, 0,
           0.048), solid="round"),
-    thing("jewelry_box", 0.7, "body", box("wood_dark", 0, 0, 0, 0.18, 0.07, 0.12, bevel=0.005), box("wood_dark*1.15", 0, 0.07, 0,
-          0.184, 0.025, 0.124, bevel=0.008), box("brass", 0, 0.055, 0.062, 0.022, 0.026, 0.005), aligned=True),
+    thing("jewelry_box", 0.7, "body", box("wood_dark", 0, 0, 0, 0.18, 0.07, 0.12, bevel=0.005), box("wood_dark*1.15", 0, 0.07,
+        0, 0.184, 0.025, 0.124, bevel=0.008), box("brass", 0, 0.055, 0.062, 0.022, 0.026, 0.005), aligned=True),
 )  # fmt: skip
 
 HOUSEHOLD = numbered(300, (*_BATH, *_LAUNDRY, *_CLOTHES, *_GARAGE, *_DECOR))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from h3data.scene.homes.kinds.kind import numbered, thing
-from h3data.scene.homes.kinds.parts import arc, ball, box, leaves, line, lathe, rod, soft
+from h3data.scene.homes.kinds.parts import arc, ball, box, lathe, leaves, line, rod, soft
 
 _STEEL, _GLASS, _WOOD = "steel", (206, 222, 226), (186, 142, 92)
 

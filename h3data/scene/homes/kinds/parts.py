@@ -1,7 +1,8 @@
 """Shapes that the tables of kinds are written in: each function returns one `Part` or a few.
 
-Positions are the middle of a part's footprint and its underside (x, y, z), for balls the centre; lengths in metres, turns
-in degrees about x, y and z (in this order), around the part's centre. Colours are names that `colours` resolves, or sRGB triples.
+Positions are the middle of a part's footprint and its underside (x, y, z), for balls the centre; lengths in metres, turns in
+degrees about x, y and z (in this order), around the part's centre. Colours are names that `colours` resolves, or sRGB
+triples.
 """
 
 from __future__ import annotations
@@ -206,7 +207,7 @@ def _rod(mesh: MeshBuilder, part: Part, color: Color, scale: Scale) -> None:
     axis = 1 if turn is None else int(np.abs(turn[:, 1]).argmax())
     long = h * float(scale[axis])
     half = h / 2 if axis == 1 else max(r, top)
-    centre = (np.array(part.at) + (0.0, half, 0.0)) * scale
+    centre = np.array([part.at[0], part.at[1] + half, part.at[2]]) * scale
     mesh.cylinder(centre, r * wide, long, color, top_radius=top * wide, segments=part.detail, turn=turn)
 
 

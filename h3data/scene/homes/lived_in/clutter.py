@@ -13,8 +13,8 @@ from h3data.scene.homes.furnishing.objects import OBJECT_MAKERS, renamed
 from h3data.scene.homes.furnishing.place import RoomState, footprint, overlap
 from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.kinds.kind import thing_of
-from h3data.scene.homes.lived_in.looks import thing_style
 from h3data.scene.homes.lived_in.habits import CHANCE, ON_FLOOR, ON_FURNITURE, Habit
+from h3data.scene.homes.lived_in.looks import thing_style
 from h3data.scene.homes.spec import Look
 from h3data.scene.homes.zoning import Rect
 from h3data.scene.records import Asset, Instance, Receptacle
@@ -59,7 +59,7 @@ class _Things:
 
     def put(self, asset: Asset, frame: np.ndarray, at: Sequence[float], heading: float) -> None:
         """Adds an instance with its underside at ``at`` [3] in a frame given by its pose [7]."""
-        local = np.array(at) + (0.0, _LIFT - float(asset.mesh.bounds[0, 1]), 0.0)
+        local = np.array([at[0], at[1] + _LIFT - float(asset.mesh.bounds[0, 1]), at[2]])
         pose = np.empty(7)
         pose[:3] = pose_multiply(frame, np.concatenate([local, IDENTITY_QUAT]))[:3]
         pose[3:] = quat_multiply(frame[3:], quat_from_heading(heading))
@@ -85,7 +85,12 @@ class _Board:
     taken: list[Rect] = field(default_factory=list)
 
     def fits(self, rect: Rect) -> bool:
-        inside = rect[0] >= -self.half[0] and rect[2] <= self.half[0] and rect[1] >= -self.half[1] and rect[3] <= self.half[1]
+        inside = (
+            rect[0] >= -self.half[0]
+            and rect[2] <= self.half[0]
+            and rect[1] >= -self.half[1]
+            and rect[3] <= self.half[1]
+        )
         return inside and not any(overlap(rect, other, -_APART) for other in self.taken)
 
 
@@ -218,7 +223,7 @@ def _host(asset: Asset, receptacle: Receptacle) -> str:
 
 def _numbers(rng: np.random.Generator, habit: Habit, amount: float) -> int:
     low, high = habit.count
-    return round(int(rng.integers(low, high + 1)) * min(max(amount, 0.0), 2.0)) if amount != 1 else int(rng.integers(low, high + 1))
+    return round(int(rng.integers(low, high + 1)) * min(amount, 2.0))
 
 
 def leave_about(
@@ -273,7 +278,10 @@ def _on_floor(things: _Things, habit: Habit, count: int, state: RoomState, taken
             half = (a, b) if side % 2 == 0 else (b, a)
             if x1 - x0 < 2 * half[0] + 0.2 or z1 - z0 < 2 * half[1] + 0.2:
                 continue
-            x, z = x0 + half[0] + 0.04 + u * (x1 - x0 - 2 * half[0] - 0.08), z0 + half[1] + 0.04 + u * (z1 - z0 - 2 * half[1] - 0.08)
+            x, z = (
+                x0 + half[0] + 0.04 + u * (x1 - x0 - 2 * half[0] - 0.08),
+                z0 + half[1] + 0.04 + u * (z1 - z0 - 2 * half[1] - 0.08),
+            )
             if side % 2 == 0:
                 z = z0 + gap + half[1] if side == 0 else z1 - gap - half[1]
             else:
@@ -282,7 +290,9 @@ def _on_floor(things: _Things, habit: Habit, count: int, state: RoomState, taken
             if any(overlap(rect, r, -0.02) for r in taken):
                 continue
             taken.append(rect)
-            heading = side * np.pi / 2 + (0.0 if both or KINDS[asset.category].aligned else float(rng.uniform(-0.08, 0.08)))
+            heading = side * np.pi / 2 + (
+                0.0 if both or KINDS[asset.category].aligned else float(rng.uniform(-0.08, 0.08))
+            )
             frame = np.concatenate([[x, 0.0, z], quat_from_heading(heading)])
             for s in (-1, 1) if both else (0,):
                 things.put(asset, frame, (s * (w / 2 + 0.006), 0.0, 0.0), 0.0)

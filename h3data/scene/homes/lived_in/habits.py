@@ -35,7 +35,10 @@ _TOOLS = (
     "toolbox hammer screwdriver wrench pliers drill paint_can paint_brush spirit_level tape_measure oil_can work_gloves "
     "flashlight cable_reel"
 )
-_WORK = "laptop notebook pen_cup stapler tape_dispenser calculator paper_stack letters mug desk_lamp smartphone binder tablet"
+_WORK = (
+    "laptop keyboard computer_mouse notebook pen_cup stapler tape_dispenser calculator paper_stack letters mug "
+    "desk_lamp smartphone binder tablet"
+)
 _BATH = "toothbrush_cup toothpaste soap_dispenser soap_bar cream_jar perfume hairbrush hair_dryer shampoo"
 _FRUIT = "apple orange banana pear lemon tomato bell_pepper"
 _SHELVES = (
@@ -51,13 +54,13 @@ ON_FURNITURE: Mapping[str, tuple[Habit, ...]] = {
         _habit("stack", "dessert_plate", 2, 5, 1.5),
         _habit("scatter", "dish_rack", 1, 1, 1.5),
     ),
-    "kitchen_counter": (
-        _habit("scatter", "kettle toaster coffee_machine blender microwave rice_cooker stand_mixer bread_box", 1, 1, 2.0),
-        _habit("scatter", "knife_block utensil_jar cutting_board storage_jar spice_jar pepper_mill salt_shaker jam_jar", 2, 4, 2.0),
-        _habit("scatter", f"fruit_bowl cutting_board bread cheese {_FRUIT} milk_carton egg_box bottle box", 2, 4, 1.5),
-        _habit("stack", "plate", 2, 5, 0.7),
-        _habit("scatter", "pot pan casserole colander measuring_cup kitchen_scale rolling_pin", 1, 2),
-        _habit("scatter", "mug bowl can bottle paper_towel lunch_box thermos jug potted_herb", 1, 3),
+    "kitchen_counter": ( _habit("scatter",
+        "kettle toaster coffee_machine blender microwave rice_cooker stand_mixer bread_box", 1, 1, 2.0), _habit("scatter",
+        "knife_block utensil_jar cutting_board storage_jar spice_jar pepper_mill salt_shaker jam_jar", 2, 4, 2.0),
+        _habit("scatter", f"fruit_bowl cutting_board bread cheese {_FRUIT} milk_carton yoghurt egg_box bottle box", 2, 4,
+        1.5), _habit("stack", "plate", 2, 5, 0.7), _habit("scatter",
+        "pot pan casserole colander measuring_cup kitchen_scale rolling_pin", 1, 2), _habit("scatter",
+        "mug bowl can bottle paper_towel lunch_box thermos jug potted_herb", 1, 3),
     ),
     "kitchen_island": (
         _habit("scatter", f"fruit_bowl flower_vase cutting_board jug tray {_FRUIT}", 2, 5, 2.0),
@@ -92,7 +95,8 @@ ON_FURNITURE: Mapping[str, tuple[Habit, ...]] = {
     "sofa": (_habit("scatter", f"{_READING} remote_control headphones tablet teddy_bear", 1, 2),),
     "armchair": (_habit("scatter", "book folded_scarf headphones tablet", 1, 1),),
     "rocking_chair": (_habit("scatter", "book folded_scarf", 1, 1),),
-    "bed": (_habit("scatter", "book folded_shirt laptop tablet headphones handbag", 1, 2), _habit("stack", "folded_jeans folded_shirt", 2, 3)),
+    "bed": (_habit("scatter", "book folded_shirt laptop tablet headphones handbag", 1, 2), _habit("stack",
+        "folded_jeans folded_shirt", 2, 3)),
     "bunk_bed": (_habit("scatter", "teddy_bear toy_rabbit doll book", 1, 3),),
     "nightstand": (_habit("scatter", "alarm_clock book smartphone tumbler cream_jar mug", 1, 2),),
     "desk": (_habit("scatter", _WORK, 2, 3),),
@@ -126,16 +130,19 @@ CHANCE: Mapping[str, float] = {
 """Probability that anything lies on a surface; 0.7 for other furniture."""
 
 ON_FLOOR: Mapping[str, tuple[Habit, ...]] = {
-    "hall": (_habit("pair", "sneaker leather_shoe boot rubber_boot sandal", 1, 4), _habit("scatter", "backpack handbag ball umbrella", 0, 1)),
+    "hall": (_habit("pair", "sneaker leather_shoe boot rubber_boot sandal", 1, 4), _habit("scatter",
+        "backpack handbag ball umbrella", 0, 1)),
     "child": (_habit("scatter", _TOYS, 4, 9), _habit("pair", "slipper sneaker", 0, 1)),
-    "living": (_habit("scatter", "toy_car ball toy_blocks basket magazine game_controller backpack", 0, 3), _habit("pair", "slipper", 0, 1)),
+    "living": (_habit("scatter", "toy_car ball toy_blocks basket magazine game_controller backpack", 0, 3), _habit("pair",
+        "slipper", 0, 1)),
     "den": (_habit("scatter", "dumbbell ball yoga_mat board_game", 0, 2),),
     "bedroom": (_habit("pair", "slipper sneaker", 0, 2), _habit("scatter", "handbag dumbbell yoga_mat book basket", 0, 2)),
     "office": (_habit("scatter", "backpack paper_stack binder router", 0, 2),),
     "bathroom": (_habit("scatter", "bathroom_scale toilet_brush rubber_duck bucket", 1, 2), _habit("pair", "slipper", 0, 1)),
     "laundry": (_habit("scatter", "detergent bucket basket spray_bottle", 1, 2),),
     "kitchen": (_habit("scatter", "basket", 0, 1),),
-    "garage": (_habit("scatter", "paint_can jerrycan toolbox bucket ball cable_reel oil_can watering_can", 2, 5), _habit("pair", "rubber_boot", 0, 1)),
+    "garage": (_habit("scatter", "paint_can jerrycan toolbox bucket ball cable_reel oil_can watering_can", 2, 5),
+        _habit("pair", "rubber_boot", 0, 1)),
     "balcony": (_habit("scatter", "watering_can garden_trowel toy_bucket lantern", 1, 2),),
 }  # fmt: skip
 """What lies on the floor close to walls and furniture, where nobody walks."""

@@ -208,7 +208,9 @@ def sample_look(rng: np.random.Generator, layout: Layout, look: Look) -> Style:
     material, colors = palette.feature
     feature = pick(colors, material, 0.02)
     paint = {r.name: base if r.category in _OPEN else pick(palette.paints, "plaster", 0.015) for r in layout.rooms}
-    featured = [r.name for r in layout.rooms if r.category in ("living", "bedroom", "office", "den", "dining", "library")]
+    featured = [
+        r.name for r in layout.rooms if r.category in ("living", "bedroom", "office", "den", "dining", "library")
+    ]
     order = rng.permutation(len(featured)).tolist()
     paint |= {featured[k]: feature for k in order[: max(1, len(featured) // 3)]}
     children = pick(((244, 214, 206), (206, 226, 240), (244, 234, 190), (214, 234, 206)), "plaster", 0.02)
@@ -218,13 +220,19 @@ def sample_look(rng: np.random.Generator, layout: Layout, look: Look) -> Style:
     paint |= {r.name: Finish((206, 204, 200), "concrete") for r in layout.rooms if r.category == "garage"}
     first, second = (int(k) for k in rng.permutation(len(palette.fabrics))[:2])
     wood = pick(palette.woods, "wood")
-    floor, kitchen, wet = pick(palette.floors, palette.floor), pick(palette.tiles, "tiles"), pick(palette.tiles, "tiles")
+    floor, kitchen, wet = (
+        pick(palette.floors, palette.floor),
+        pick(palette.tiles, "tiles"),
+        pick(palette.tiles, "tiles"),
+    )
     floors = dict.fromkeys(_WET, wet) | {"kitchen": kitchen, "pantry": kitchen}
     floors |= {"garage": Finish((146, 145, 142), "concrete"), "balcony": Finish((150, 132, 112), "tiles")}
     if palette.floor != "boards":
         floors |= dict.fromkeys(("living", "hall", "dining", "den", "library", "office", "kitchen"), floor)
     if palette.carpet:
-        floors |= dict.fromkeys(("bedroom", "child", "library"), Finish(shade(vary(rng, (178, 164, 144)), 1.0), "carpet"))
+        floors |= dict.fromkeys(
+            ("bedroom", "child", "library"), Finish(shade(vary(rng, (178, 164, 144)), 1.0), "carpet")
+        )
     boards = Finish(vary(rng, (190, 148, 100)), "boards") if palette.floor != "boards" else floor
     return Style(
         paint=paint,

@@ -25,7 +25,9 @@ _SPINDLE_CHAIR = (
 _SOFT_CHAIR = (
     soft("fabric", 0, 0.42, 0.02, 1.0, 0.13, 0.94, 0.03),
     soft("fabric", 0, 0.56, -0.42, 0.96, 0.44, 0.14, 0.03),
-    tuple(line("wood_dark", 0.036, (0.38 * x, 0.44, 0.38 * z), (0.45 * x, 0, 0.45 * z)) for x in (-1, 1) for z in (-1, 1)),
+    tuple(
+        line("wood_dark", 0.036, (0.38 * x, 0.44, 0.38 * z), (0.45 * x, 0, 0.45 * z)) for x in (-1, 1) for z in (-1, 1)
+    ),
 )
 _SHELL_CHAIR = (
     soft("accent", 0, 0.47, 0.02, 0.98, 0.06, 0.94, 0.02),
@@ -57,7 +59,8 @@ def _plant(pot: float, *leaf: Nested) -> tuple[Nested, ...]:
 
 
 _PLANTS = (
-    _plant(0.24, line("leather", 0.05, (0, 0.2, 0), (0.05, 0.55, 0.03)), leaves("green", 0.04, 0.5, 0.02, 26, 0.42, (0.15, 1.3), 0.07)),
+    _plant(0.24, line("leather", 0.05, (0, 0.2, 0), (0.05, 0.55, 0.03)), leaves("green", 0.04, 0.5, 0.02, 26, 0.42,
+        (0.15, 1.3), 0.07)),
     _plant(0.28, leaves("green*0.85", 0, 0.24, 0, 13, 0.74, (0.02, 0.3), 0.13)),
     _plant(0.26, line("leather*0.8", 0.035, (0, 0.2, 0), (-0.03, 0.8, 0)), tuple(
         ball(f"green*{0.8 + 0.1 * k}", 0.2 * np.cos(2.1 * k), 0.66 + 0.09 * k, 0.2 * np.sin(2.1 * k), 0.26, 0.12, 0.26, n=9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -67,7 +68,7 @@ def _hills(s: _Sheet, rng: np.random.Generator, c: Colors) -> None:
 
 def _stripes(s: _Sheet, rng: np.random.Generator, c: Colors) -> None:
     cuts = np.sort(np.append(rng.uniform(-0.9, 0.9, 5), (-1.0, 1.0))).tolist()
-    for i, (a, b) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+    for i, (a, b) in enumerate(pairwise(cuts)):
         s.bar(-1, a, 1, b, shade(c[i % 4], (1.0, 1.2, 0.85)[i % 3]))
 
 
@@ -127,7 +128,10 @@ def _town(s: _Sheet, rng: np.random.Generator, c: Colors) -> None:
     for k, x in enumerate(np.linspace(-0.95, 0.6, 5).tolist()):
         tall = float(rng.uniform(-0.1, 0.45))
         s.bar(x, -1, x + 0.36, tall, c[k % 3])
-        s.poly([(x - 0.03, tall), (x + 0.39, tall), (x + 0.2, tall + 0.24), (x + 0.16, tall + 0.24)], shade(c[(k + 1) % 3], 0.6))
+        s.poly(
+            [(x - 0.03, tall), (x + 0.39, tall), (x + 0.2, tall + 0.24), (x + 0.16, tall + 0.24)],
+            shade(c[(k + 1) % 3], 0.6),
+        )
         for j in range(3):
             s.bar(x + 0.12, -0.8 + 0.32 * j, x + 0.24, -0.62 + 0.32 * j, (250, 236, 180))
 

@@ -57,7 +57,8 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Pieces that stand at a wall where there is room for them."""
 ON_WALL: Mapping[str, tuple[tuple[str, float], ...]] = {
-    "living": (("wall_clock", 1.75), ("wall_shelf", 1.5), ("sun_mirror", 1.6), ("radiator", 0.42), ("wall_lamp", 1.7), ("hanging_plant", 1.8)),
+    "living": (("wall_clock", 1.75), ("wall_shelf", 1.5), ("sun_mirror", 1.6), ("radiator", 0.42), ("wall_lamp", 1.7),
+        ("hanging_plant", 1.8)),
     "den": (("wall_clock", 1.75), ("wall_shelf", 1.5), ("wall_lamp", 1.7)),
     "library": (("wall_lamp", 1.7), ("wall_clock", 1.75)),
     "dining": (("sun_mirror", 1.6), ("wall_clock", 1.75), ("wall_lamp", 1.7)),
@@ -157,7 +158,9 @@ def _furnish_office(rng: np.random.Generator, style: Style, state: RoomState, di
     if not _desk(rng, style, state):
         desk = place_single(rng, state, sleeping.desk(rng, style), corner=True)
         need(desk, "desk", state)
-    place_at_wall(rng, state, in_a_row([living.shelf(rng, style)] * (2 if state.room.area > 9 else 1)), middle=True, tries=3)
+    place_at_wall(
+        rng, state, in_a_row([living.shelf(rng, style)] * (2 if state.room.area > 9 else 1)), middle=True, tries=3
+    )
     if state.room.area > 12:
         place_single(rng, state, living.armchair(rng, style), corner=True)
     place_single(rng, state, living.plant(rng, style), only_corner=True)
