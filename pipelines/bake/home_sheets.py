@@ -114,7 +114,7 @@ def styles_sheet() -> Picture:
 ROOMS: Sequence[tuple[HomeSpec, tuple[str, ...]]] = (
     (HomeSpec(seed=7, preset="medium", generation=2), ("living", "bedroom", "child", "office", "laundry")),
     (
-        HomeSpec(seed=5, preset="medium", area_m2=210, generation=2),
+        HomeSpec(seed=1, preset="medium", area_m2=210, bedrooms=3, bathrooms=2, generation=2),
         ("garage", "balcony", "kitchen", "hall", "bathroom"),
     ),
 )
