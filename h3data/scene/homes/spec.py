@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Literal, get_args
 
@@ -80,6 +80,15 @@ class HomeSpec:
     """1 = the homes of `h3-homes`, 2 = those of `h3-homes-v2`: more kinds of things, rooms and styles."""
     style: Look | None = None
     """Style of a home of the second generation; None = chosen by the seed."""
+
+    def __repr__(self) -> str:
+        """As of a plain dataclass; without the fields of the second generation where they are not set, because jobs and
+        recordings have their identity from it."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name, default in (("generation", 1), ("style", None)):
+            if values[name] == default:
+                del values[name]
+        return f"HomeSpec({', '.join(f'{name}={value!r}' for name, value in values.items())})"
 
     def __post_init__(self) -> None:
         _check_whole("generation", self.generation, 1, GENERATIONS)

@@ -69,7 +69,11 @@ class Job:
             agents = tuple(map(stored_person, self.agents))
             values["agents"] = agents if self.found_task.bodies_in_agents else ",".join(agents)
         values |= {name: rules_dict(values[name]) for name in ("spec", "drawn_with") if values.get(name) is not None}
-        return json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
+        record = json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
+        # Datasets made before homes had generations keep their identity.
+        for home in (v for v in record.values() if isinstance(v, dict) and v.get("generation") == 1 and "preset" in v):
+            del home["generation"], home["style"]
+        return record
 
     @cached_property
     def found_task(self) -> Task:
