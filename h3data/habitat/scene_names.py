@@ -7,18 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING, load_scene_dataset
 from h3data.habitat.scenes.scene_instance import dataset_and_scene, load_habitat_scene
 from h3data.mesh.glb import unpack_glb
-from h3data.scene import HOME_PRESETS, FreeSpace, HomeSpec, build_home, load_scene
+from h3data.scene import FreeSpace, HomeSpec, build_home, load_scene
+from h3data.scene.homes import HOME_NAMES
 from h3data.scene.scene_sets import SceneFile, SceneSource, builtin_sets, find_scene_set
 
 if TYPE_CHECKING:
     from h3data.scene import Scene
-    from h3data.scene.homes.spec import Preset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,8 @@ def named_scenes(
 ) -> tuple[NamedScene, ...]:
     """The scenes that ``text`` means; the other options are for scenes of Habitat (`load_habitat_scene`).
 
-    ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``h3-homes/test`` or ``my.toml`` (all of a set),
+    ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``small2:3`` (second generation),
+    ``h3-homes/test`` or ``my.toml`` (all of a set),
     ``h3-homes/test#3`` or ``h3-homes/test#test_03`` (one of a set), or the path of a scene: GLB or one of Habitat's.
     A ``.scene_dataset_config.json`` is all its scenes, followed by ``#name`` one of them.
 
@@ -61,17 +62,17 @@ def named_scenes(
 def is_builtin_name(text: str) -> bool:
     """Whether the words name built-in homes (``small``, ``small:3``) or a set of scenes, one of which may follow ``#``."""
     preset, _, seed = text.partition(":")
-    if preset in HOME_PRESETS and (not seed or re.fullmatch(r"[0-9]{1,18}", seed)):
+    if preset in HOME_NAMES and (not seed or re.fullmatch(r"[0-9]{1,18}", seed)):
         return not Path(text).exists()
     label = text.partition("#")[0]
     return any(label in (name, *(f"{name}/{split}" for split in of)) for name, of in builtin_sets().items())
 
 
 def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
-    if text in HOME_PRESETS:
+    if text in HOME_NAMES:
         return tuple(_home(text, seed) for seed in range(homes))
     preset, _, seed = text.partition(":")
-    if preset in HOME_PRESETS and re.fullmatch(r"[0-9]{1,18}", seed):
+    if preset in HOME_NAMES and re.fullmatch(r"[0-9]{1,18}", seed):
         return (_home(preset, int(seed)),)
     config, scene = dataset_and_scene(text)
     if config is not None:
@@ -86,14 +87,14 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
     label, _, which = text.partition("#")
     found = find_scene_set(label)
     splits = [f"{name}/{split}" for name, of in builtin_sets().items() for split in of]
-    near = did_you_mean(text, (*HOME_PRESETS, *splits))
+    near = did_you_mean(text, (*HOME_NAMES, *splits))
     if found is None and ("/" in label or label.endswith((".glb", ".json", ".urdf"))) and not Path(label).exists():
         raise InputError(
             f"There is no such scene or set of scenes.{near} Hint: `h3data scenes list` shows the sets. Path: {text}"
         )
     if found is None:
         raise InputError(
-            f"Unknown scenes {text!r}.{near} Expected {', '.join(HOME_PRESETS)}, one home as small:3, a set "
+            f"Unknown scenes {text!r}.{near} Expected {', '.join(HOME_NAMES)}, one home as small:3, a set "
             f"({', '.join(splits)} or a .toml file), one of a set as h3-homes/test#3, or the path of a scene (.glb, "
             ".scene_instance.json, .stage_config.json, .object_config.json, .ao_config.json, .urdf, "
             ".scene_dataset_config.json)."
@@ -102,8 +103,9 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
     return (every[found.scenes.index(found.entry(which))],) if "#" in text else tuple(every)
 
 
-def _home(preset: str, seed: int) -> NamedScene:
-    return NamedScene(name=f"{preset}:{seed}", source=HomeSpec(preset=cast("Preset", preset), seed=seed))
+def _home(name: str, seed: int) -> NamedScene:
+    preset, generation = HOME_NAMES[name]
+    return NamedScene(name=f"{name}:{seed}", source=HomeSpec(preset=preset, seed=seed, generation=generation))
 
 
 @lru_cache(maxsize=64)  # 2 MB each; episodes go round the homes, so fewer would all be made anew each time

@@ -18,7 +18,7 @@ import msgspec
 
 from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError, did_you_mean
-from h3data.scene.homes.spec import HomeSpec, Preset
+from h3data.scene.homes.spec import HomeSpec, Look, Preset
 
 FORMAT = 1
 SUFFIX = ".toml"
@@ -159,6 +159,8 @@ class _Home(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     clutter: float = 1.0
     density: int = 1
     articulated: bool = False
+    generation: int = 1
+    style: Look | None = None
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,5 +1,5 @@
-"""Write `datasets/h3-homes`: ``python -m bake.home_sets --choose`` picks the homes of the three splits and
-writes them down; without ``--choose`` only the tables of the card are measured again.
+"""Write `datasets/h3-homes` or, with ``--generation 2``, `datasets/h3-homes-v2`: ``python -m bake.home_sets --choose`` picks
+the homes of the three splits and writes them down; without ``--choose`` only the tables of the card are measured again.
 
 Sizes are spread evenly on a logarithmic scale, rooms follow from them. A seed is taken only if the home is without faults
 (`h3data scenes validate`) and the episodes of the split can be drawn in it.
@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import logging
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -24,15 +24,16 @@ from h3data.scene import HomeSpec
 from h3data.scene.homes.spec import MAX_BATHROOMS, MAX_BEDROOMS, Preset, min_area_m2
 from h3data.scene.scene_sets import SceneEntry, SceneSet, SocialNavRules, read_scene_set
 from h3data_pipelines.assets.scene_reports import AGENT_HEIGHT_M, AGENT_RADIUS_M, scene_size, validate_scene
+from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.social_nav.sets import set_episode
 
 log = logging.getLogger(__name__)
 
-NAME = "h3-homes"
+NAMES = {1: "h3-homes", 2: "h3-homes-v2"}
 LEAST_M2, MOST_M2, LARGEST_M2 = 64.0, 420.0, 846.0
 """The paper's smallest benchmark home has 69 m2, its largest 846; every split has one of that size."""
-TRIED_EPISODES = 200
-"""At most so many are drawn in a home before it is taken."""
+TRIED_REARRANGEMENTS = 1
+"""Episodes of rearrangement that are drawn in a home of the second generation before it is taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,9 @@ class Split:
     spawn_distance_m: float
     first_seed: int
     about: str
+    generation: int = 1
+    tried_episodes: int = 200
+    """At most so many are drawn in a home before it is taken."""
 
     @property
     def rules(self) -> SocialNavRules:
@@ -55,6 +59,10 @@ SPLITS = (
     Split(name="train", homes=37, episodes=1000, spawn_distance_m=3.0, first_seed=10_000, about="37 homes to learn in"),
     Split(name="val", homes=12, episodes=100, spawn_distance_m=5.0, first_seed=20_000, about="12 homes to choose by"),
     Split(name="test", homes=10, episodes=15, spawn_distance_m=5.0, first_seed=30_000, about="10 homes to report on"),
+)
+SPLITS_2 = tuple(
+    replace(s, first_seed=s.first_seed + 100_000, generation=2, tried_episodes=3, about=f"{s.homes} homes {text}")
+    for s, text in zip(SPLITS, ("to train in", "to validate in", "to test in"), strict=True)
 )
 
 
@@ -74,7 +82,7 @@ def wishes(split: Split) -> list[HomeSpec]:
         clutter = float(rng.choice([0.6, 1.0, 1.0, 1.5]))
         spec = HomeSpec(
             seed=split.first_seed + 100 * k, preset=preset, area_m2=round(float(area), 1), bedrooms=bedrooms,
-            bathrooms=bathrooms, clutter=clutter,
+            bathrooms=bathrooms, clutter=clutter, generation=split.generation,
         )  # fmt: skip
         found.append(spec)
     return found
@@ -85,7 +93,7 @@ def chosen(split: Split) -> SceneSet:
     entries: list[SceneEntry] = []
     for k, wish in enumerate(wishes(split)):
         for more in range(100):
-            entry = SceneEntry(id=f"{split.name}_{k:02d}", source=_with_seed(wish, wish.seed + more))
+            entry = SceneEntry(id=f"{split.name}_{k:02d}", source=_eased(wish, more))
             fault = _fault(entry, split)
             if not fault:
                 entries.append(entry)
@@ -97,16 +105,15 @@ def chosen(split: Split) -> SceneSet:
     return _set_of(split, tuple(entries))
 
 
-def _with_seed(spec: HomeSpec, seed: int) -> HomeSpec:
-    return HomeSpec(
-        seed=seed, preset=spec.preset, area_m2=spec.area_m2, bedrooms=spec.bedrooms, bathrooms=spec.bathrooms,
-        clutter=spec.clutter,
-    )  # fmt: skip
+def _eased(spec: HomeSpec, failures: int) -> HomeSpec:
+    """The wish with the next seed and, after every second failure, one bathroom less."""
+    bathrooms = max(1, (spec.bathrooms or 1) - failures // 2)
+    return replace(spec, seed=spec.seed + failures, bathrooms=bathrooms)
 
 
 def _set_of(split: Split, scenes: tuple[SceneEntry, ...]) -> SceneSet:
     return SceneSet(
-        name=NAME, split=split.name, scenes=scenes, social_nav=split.rules, about=split.about, sha256=""
+        name=NAMES[split.generation], split=split.name, scenes=scenes, social_nav=split.rules, about=split.about, sha256=""
     )  # fmt: skip
 
 
@@ -116,8 +123,11 @@ def _fault(entry: SceneEntry, split: Split) -> str:
         problems = validate_scene(NamedScene(name=entry.id, source=entry.source))["problems"]
         if problems:
             return problems[0]["text"]
-        for index in range(min(split.episodes, TRIED_EPISODES)):
+        for index in range(min(split.episodes, split.tried_episodes)):
             set_episode(_set_of(split, (entry,)), entry, index)
+        if split.generation > 1:
+            for seed in range(TRIED_REARRANGEMENTS):
+                Rearrange().episode(open_scene(entry.source), seed=seed)
     except SceneError as fault:
         return str(fault)
     return ""
@@ -138,7 +148,8 @@ def set_text(scenes: SceneSet) -> str:
         assert isinstance(home, HomeSpec)
         lines.append(
             f'  {{ id = "{entry.id}", seed = {home.seed}, preset = "{home.preset}", area_m2 = {home.area_m2}, '
-            f"bedrooms = {home.bedrooms}, bathrooms = {home.bathrooms}, clutter = {home.clutter} }},"
+            f"bedrooms = {home.bedrooms}, bathrooms = {home.bathrooms}, clutter = {home.clutter}"
+            f"{f', generation = {home.generation}' if home.generation > 1 else ''} }},"
         )
     lines += [
         "]",
@@ -151,14 +162,14 @@ def set_text(scenes: SceneSet) -> str:
 
 
 # --- the card ---------------------------------------------------------------------------------------------------------
-def tables() -> dict[str, str]:
+def tables(splits: tuple[Split, ...]) -> dict[str, str]:
     """The measured parts of the card: per split, and per home."""
     heads = ("scene", "floor m2", "free m2", "rooms", "receptacles", "small things", "triangles")
     keys = ("floor_m2", "free_m2", "rooms", "receptacles", "movable", "triangles")
-    splits = [_line("split", "scenes", "episodes", "starts apart", *heads[1:]), _rule(10)]
+    overview = [_line("split", "scenes", "episodes", "starts apart", *heads[1:]), _rule(10)]
     homes = [_line(*heads), _rule(7)]
-    for split in SPLITS:
-        scenes = read_scene_set(builtin_root() / NAME / f"{split.name}.toml")
+    for split in splits:
+        scenes = read_scene_set(builtin_root() / NAMES[split.generation] / f"{split.name}.toml")
         rows = []
         for named in named_scenes(scenes.label):
             free = open_free_space(named.source, AGENT_RADIUS_M, AGENT_HEIGHT_M)
@@ -166,8 +177,8 @@ def tables() -> dict[str, str]:
             homes.append(_line(named.id, *(_number(rows[-1][k]) for k in keys)))
         apart = f"{scenes.social_nav.spawn_distance_m:g} m"
         ranges = (f"{_number(min(r[k] for r in rows))} to {_number(max(r[k] for r in rows))}" for k in keys)
-        splits.append(_line(scenes.label, str(len(rows)), f"{scenes.episodes:,}", apart, *ranges))
-    return {"splits": "\n".join(splits), "homes": "\n".join(homes)}
+        overview.append(_line(scenes.label, str(len(rows)), f"{scenes.episodes:,}", apart, *ranges))
+    return {"splits": "\n".join(overview), "homes": "\n".join(homes)}
 
 
 def _line(*cells: str) -> str:
@@ -196,12 +207,15 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--choose", action="store_true", help="pick the homes anew")
-    folder = builtin_root() / NAME
-    if parser.parse_args().choose:
-        for split in SPLITS:
+    parser.add_argument("--generation", type=int, default=1, choices=tuple(NAMES))
+    given = parser.parse_args()
+    splits = SPLITS if given.generation == 1 else SPLITS_2
+    folder = builtin_root() / NAMES[given.generation]
+    if given.choose:
+        for split in splits:
             _write(folder / f"{split.name}.toml", set_text(chosen(split)))
     card = folder / "README.md"
-    _write(card, updated_card(card.read_text(encoding="utf-8"), tables()))
+    _write(card, updated_card(card.read_text(encoding="utf-8"), tables(splits)))
 
 
 def _write(path: Path, text: str) -> None:

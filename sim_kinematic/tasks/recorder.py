@@ -27,7 +27,8 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.recording import Episode as EpisodeRecord
-from h3data.scene import CATEGORIES, Scene, save_scene, scene_digest
+from h3data.scene import Scene, save_scene, scene_digest
+from h3data.scene.homes import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.episode import Episode
@@ -194,7 +195,7 @@ def describe(
         "instruction": task.instruction(episode),
         "scene_source": dict(scene.source),
         "scene_sha256": digest,
-        "categories": list(CATEGORIES),
+        "categories": categories_of(scene),
     }
     if reference:
         info["task"] = reference

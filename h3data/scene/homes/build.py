@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +19,14 @@ from h3data.scene.homes.furnishing.furniture_living import ceiling_lamp
 from h3data.scene.homes.furnishing.groups import NoRoomError
 from h3data.scene.homes.furnishing.opening.placing import carrying, opening_assets, placed_opening
 from h3data.scene.homes.furnishing.place import Placed, RoomState, room_state
+from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.layout import WALL_HEIGHT, Layout, RoomPlan, plan_layout
+from h3data.scene.homes.lived_in.clutter import leave_about
+from h3data.scene.homes.lived_in.looks import sample_look
+from h3data.scene.homes.lived_in.rooms import furnish
 from h3data.scene.homes.rooms import FURNISH
 from h3data.scene.homes.solids import subdivided
-from h3data.scene.homes.spec import CATEGORIES, HomeSpec, stage_rng
+from h3data.scene.homes.spec import HomeSpec, stage_rng
 from h3data.scene.homes.style import Style, sample_style
 from h3data.scene.records import Articulation, Asset, Instance, Room, Scene
 
@@ -49,7 +54,7 @@ class _Collector:
                 name=asset.name,
                 asset=asset.name,
                 pose=IDENTITY_POSE.copy(),
-                semantic_id=CATEGORIES[asset.category],
+                semantic_id=KINDS[asset.category].semantic_id,
                 layer=layer,
             )
         )
@@ -67,7 +72,7 @@ class _Collector:
             name=f"{piece.category}_{number}",
             asset=self._names[id(piece)],
             pose=pose,
-            semantic_id=CATEGORIES[piece.category],
+            semantic_id=KINDS[piece.category].semantic_id,
             layer=placed.layer,
         )
         self.instances.append(instance)
@@ -88,7 +93,7 @@ class _Collector:
             name=f"{opening.kind}_{number}",
             asset=model,
             pose=np.concatenate([[placed.x, placed.y, placed.z], quat_from_heading(heading)]),
-            semantic_id=CATEGORIES[piece.category],
+            semantic_id=KINDS[piece.category].semantic_id,
             layer=placed.layer,
         )
         parts, thing = placed_opening(opening, body)
@@ -127,7 +132,7 @@ def build_home(spec: HomeSpec) -> Scene:
 
 def _attempt(spec: HomeSpec, attempt: int) -> Scene:
     layout = plan_layout(spec, attempt)
-    style = sample_style(stage_rng(spec, "style", attempt), layout)
+    style = _style(spec, layout, attempt)
     states = _furnish(spec, attempt, layout, style)
     home = _Collector()
     _add_structure(home, layout, style, spec, attempt)
@@ -146,10 +151,14 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
             x, z = x0 + (i + 0.5) * (x1 - x0) / nx, z0 + (k + 0.5) * (z1 - z0) / nz
             home.furniture(Placed(piece=lamp, room=room.name, x=x, z=z, quarter=0, y=WALL_HEIGHT, layer="ceiling"))
     rng = stage_rng(spec, "clutter", attempt)
-    variants = object_assets(rng, style)
-    things = clutter(rng, variants, pieces, spec.clutter)
-    used = {i.asset for i in things}
-    home.assets.update({a.name: a for group in variants.values() for a in group if a.name in used})
+    if spec.look is None:
+        variants = object_assets(rng, style)
+        things = clutter(rng, variants, pieces, spec.clutter)
+        used = {i.asset for i in things}
+        home.assets.update({a.name: a for group in variants.values() for a in group if a.name in used})
+    else:
+        things, assets = leave_about(rng, spec.look, states, pieces, spec.clutter)
+        home.assets.update(assets)
     rooms = tuple(
         Room(name=r.name, category=r.category, rectangles=np.array([r.rect], np.float64)) for r in layout.rooms
     )
@@ -160,13 +169,26 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
         assets=home.assets,
         instances=(*home.instances, *things),
         rooms=rooms,
-        source={"kind": "home", "preset": spec.preset, "seed": int(spec.seed), **spec.changes},
+        source=_source(spec),
         articulations=carrying(home.articulations, home.instances, home.assets, things),
     )
 
 
+def _source(spec: HomeSpec) -> dict[str, Any]:
+    source = {"kind": "home", "preset": spec.preset, "seed": int(spec.seed), **spec.changes}
+    return source if spec.look is None else {**source, "style": spec.look}
+
+
+def _style(spec: HomeSpec, layout: Layout, attempt: int) -> Style:
+    rng = stage_rng(spec, "style", attempt)
+    return sample_style(rng, layout) if spec.look is None else sample_look(rng, layout, spec.look)
+
+
 def _name(spec: HomeSpec) -> str:
-    options = "".join(f"_{name}" if value is True else f"_{name}_{value:g}" for name, value in spec.changes.items())
+    options = "".join(
+        f"_{name}" if v is True else f"_{name}_{v if isinstance(v, str) else f'{v:g}'}"
+        for name, v in spec.changes.items()
+    )
     return f"home_{spec.preset}_{int(spec.seed)}{options}"
 
 
@@ -200,7 +222,11 @@ def _furnish_room(
     for again in range(_ROOM_ATTEMPTS):
         state = room_state(layout, room)
         try:
-            FURNISH[room.category](stage_rng(spec, f"furnish/{room.name}/{again}", attempt), style, state, dining)
+            rng = stage_rng(spec, f"furnish/{room.name}/{again}", attempt)
+            if spec.generation == 1:
+                FURNISH[room.category](rng, style, state, dining)
+            else:
+                furnish(rng, style, state, dining)
             return state
         except NoRoomError:
             if again == _ROOM_ATTEMPTS - 1:
@@ -221,8 +247,12 @@ def _add_structure(home: _Collector, layout: Layout, style: Style, spec: HomeSpe
         home.structure(structure.window_asset(layout, opening, i, style))
     rng = stage_rng(spec, "blinds", attempt)
     for i, opening in enumerate(windows):
-        if layout.room(opening.rooms[0]).category not in ("hall", "laundry") and rng.random() < 0.7:
+        if layout.room(opening.rooms[0]).category not in ("hall", "laundry", "garage") and rng.random() < 0.7:
             home.structure(structure.blind_asset(layout, opening, i, style, rng))
     for opening in layout.openings:
         if opening.kind == "entrance":
             home.structure(structure.entrance_asset(layout, opening, style))
+        elif opening.kind == "gate":
+            home.structure(structure.entrance_asset(layout, opening, style, f"gate_{opening.rooms[0]}"))
+    for i, opening in enumerate(o for o in layout.openings if o.kind == "parapet"):
+        home.structure(structure.balustrade_asset(layout, opening, i, style))

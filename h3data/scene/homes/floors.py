@@ -9,7 +9,7 @@ import numpy as np
 from h3data.mesh.mesh import Mesh
 from h3data.scene.homes.layout import RoomPlan
 from h3data.scene.homes.materials import BOARDS, MATERIALS, TILES
-from h3data.scene.homes.solids import MeshBuilder, vary
+from h3data.scene.homes.solids import MeshBuilder, material_of, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.homes.zoning import Rect
 
@@ -59,6 +59,9 @@ def floor_mesh(room: RoomPlan, style: Style, rng: np.random.Generator) -> Mesh:
         mesh.quads(boards, [vary(rng, style.floor_wood, 0.09) for _ in boards], place=places)
         return mesh.mesh()
     x0, z0, x1, z1 = room.rect
+    if material_of(style.floor_tile[room.category]) != "tiles":
+        mesh.quads(_flat(np.array([room.rect])), style.floor_tile[room.category])
+        return mesh.mesh()
     xs, zs = np.append(np.arange(x0, x1 - 0.02, TILE_M), x1), np.append(np.arange(z0, z1 - 0.02, TILE_M), z1)
     a0, b0 = (v.ravel() for v in np.meshgrid(xs[:-1], zs[:-1], indexing="ij"))
     a1, b1 = (v.ravel() for v in np.meshgrid(xs[1:], zs[1:], indexing="ij"))

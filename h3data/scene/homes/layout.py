@@ -39,7 +39,8 @@ class RoomPlan:
         return rect_area(self.rect)
 
 
-OpeningKind = Literal["door", "wide", "window", "entrance"]
+OpeningKind = Literal["door", "wide", "window", "entrance", "gate", "parapet"]
+"""``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its balustrade."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +70,8 @@ class Layout:
     openings: tuple[Opening, ...]
     notches: tuple[Rect, ...] = ()
     """Corners of the bounding box that lie outdoors. Walls facing them are centred on their line, like inner walls."""
+    open_plan: bool = False
+    """Whether openings may be as wide as a room, so that furniture may stand near them."""
 
     def room(self, name: str) -> RoomPlan:
         return next(r for r in self.rooms if r.name == name)
@@ -142,6 +145,12 @@ _DOOR_COST = _pairs(
         "living-library": 6,
         "living-office": 6,
         "bedroom-bathroom": 7,
+        "living-balcony": 2,
+        "hall-child": 2,
+        "hall-garage": 4,
+        "kitchen-garage": 6,
+        "laundry-garage": 6,
+        "living-garage": 9,
     }
 )
 """Preference for a door between two types of rooms, lower is better; other pairs never get one."""
@@ -156,9 +165,12 @@ _EXTRA_DOORS = _pairs(
     }
 )
 """Probability of a door that closes a loop, in addition to the spanning tree."""
-_WIDE = tuple(_pairs({"living-kitchen": 0, "living-dining": 0, "dining-kitchen": 0}))
+_WIDE = tuple(_pairs({"living-kitchen": 0, "living-dining": 0, "dining-kitchen": 0, "living-balcony": 0}))
 """Pairs joined by a wide opening without a door leaf."""
-_DEAD_ENDS = ("bathroom", "bedroom", "pantry")
+_OPEN_PLAN = tuple(_pairs({"living-kitchen": 0, "living-dining": 0, "dining-kitchen": 0}))
+"""Pairs between which there is only a beam, in homes of the second generation."""
+_BEAM = 2.42
+_DEAD_ENDS = ("bathroom", "bedroom", "pantry", "child", "balcony", "garage")
 """Private rooms, which never lead to other rooms, except a bedroom to its own bathroom."""
 
 
@@ -166,7 +178,9 @@ def _narrow(room: RoomPlan) -> float:
     return min(room.rect[2] - room.rect[0], room.rect[3] - room.rect[1])
 
 
-def _door(rng: np.random.Generator, a: RoomPlan, b: RoomPlan, wall: tuple[int, float, float, float]) -> Opening:
+def _door(
+    rng: np.random.Generator, a: RoomPlan, b: RoomPlan, wall: tuple[int, float, float, float], generation: int
+) -> Opening:
     axis, line, _, _ = wall
     low = max(a.interior[axis], b.interior[axis]) + 0.1
     high = min(a.interior[axis + 2], b.interior[axis + 2]) - 0.1
@@ -174,6 +188,9 @@ def _door(rng: np.random.Generator, a: RoomPlan, b: RoomPlan, wall: tuple[int, f
     if kinds == {"hall"}:
         kind: OpeningKind = "wide"
         width, top, start = high - low, 2.4, low
+    elif generation > 1 and kinds in _OPEN_PLAN:
+        kind = "wide"
+        width, top, start = high - low, _BEAM, low
     elif kinds in _WIDE or (kinds == {"living", "hall"} and min(high - low, _narrow(b), _narrow(a)) > 1.8):
         width, top = float(np.clip(0.55 * (high - low), 1.3, 2.4)), 2.3
         start = low + (high - low - width) * rng.uniform(0.3, 0.7)
@@ -195,7 +212,7 @@ def _door(rng: np.random.Generator, a: RoomPlan, b: RoomPlan, wall: tuple[int, f
     )
 
 
-def _plan_doors(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[Opening]:
+def _plan_doors(rng: np.random.Generator, rooms: tuple[RoomPlan, ...], generation: int = 1) -> list[Opening]:
     """A minimum spanning tree of doors by `_DOOR_COST` (Kruskal), plus occasional `_EXTRA_DOORS`."""
     links = []
     for a, b in combinations(rooms, 2):
@@ -213,7 +230,7 @@ def _plan_doors(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[O
         if not joined:
             old, new = group[b.name], group[a.name]
             group = {name: new if g == old else g for name, g in group.items()}
-        doors.append(_door(rng, a, b, wall))
+        doors.append(_door(rng, a, b, wall, generation))
     if len(set(group.values())) > 1:
         raise SceneError("This plan leaves rooms without a door.")
     kinds = {room.name: room.category for room in rooms}
@@ -238,10 +255,13 @@ _WINDOWS = {
     "laundry": (1, (0.6, 0.8), 1.2, 2.15),
     "pantry": (0, (0.5, 0.6), 1.5, 2.15),
     "hall": (1, (0.6, 0.8), 1.2, 2.15),
+    "child": (1, (1.1, 1.6), 0.95, 2.15),
+    "garage": (1, (0.8, 1.1), 1.5, 2.15),
+    "balcony": (3, (0.0, 0.0), 1.05, 2.35),
 }
 """Windows per kind of room: largest number of sides, range of widths, bottom, top [m]. Its order is also that of a plan's
 rooms."""
-_NEED_LIGHT = ("living", "bedroom", "dining")
+_NEED_LIGHT = ("living", "bedroom", "dining", "child")
 """Kinds of rooms that must have an outer wall long enough for a window."""
 
 
@@ -296,6 +316,14 @@ def _plan_outer(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[O
     for room in rooms:
         most, widths, bottom, top = _WINDOWS[room.category]
         sides = [s for s in _outer(room, rooms) if room is not host or s != door]
+        if room.category == "balcony":
+            openings += [_opening(room, "parapet", s, (s.low + 0.06, s.high - 0.06), (bottom, top)) for s in sides]
+            continue
+        if room.category == "garage" and any(s.high - s.low > 2.9 for s in sides):
+            side = max(sides, key=lambda s: s.high - s.low)
+            middle = (side.low + side.high) / 2
+            openings.append(_opening(room, "gate", side, (middle - 1.2, middle + 1.2), (0.0, DOOR_HEIGHT)))
+            sides.remove(side)
         for index in rng.permutation(len(sides))[:most].tolist():
             side = sides[index]
             count = max(1, int((side.high - side.low) / 4.2))
@@ -316,6 +344,12 @@ def _plan_outer(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[O
     return openings
 
 
+def _opening(
+    room: RoomPlan, kind: OpeningKind, side: _Outer, span: tuple[float, float], height: tuple[float, float]
+) -> Opening:
+    return Opening(kind=kind, axis=side.axis, line=side.line, span=span, height=height, rooms=(room.name,))
+
+
 def _entrances(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[_Outer]:
     return [s for s in _outer(room, rooms) if s.high - s.low > 1.15] if room.category in ("hall", "living") else []
 
@@ -328,6 +362,8 @@ def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
     """
     program = spec.program
     large = program.area_m2 >= LARGE_FROM_M2 or program.bedrooms >= LARGE_FROM_BEDROOMS
+    if program.generation > 1:  # one corridor has room for five private rooms; further ones would become slits
+        large = large or program.bedrooms + program.bathrooms + len(program.extra) > 5
     try:
         plan = plan_large_zoning(spec, attempt, _sound) if large else plan_zoning(spec, attempt)
     except SceneError:
@@ -335,10 +371,17 @@ def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
         plan = plan_zoning(spec, attempt) if large else plan_large_zoning(spec, attempt, _sound)
     plan = _oriented(stage_rng(spec, "orientation", attempt), plan)
     rooms = _rooms(plan)
-    doors = _plan_doors(stage_rng(spec, "doors", attempt), rooms)
+    doors = _plan_doors(stage_rng(spec, "doors", attempt), rooms, spec.generation)
     outer = _plan_outer(stage_rng(spec, "outer", attempt), rooms)
     openings = tuple(replace(o, span=(round(o.span[0], 3), round(o.span[1], 3))) for o in doors + outer)
-    return Layout(width=plan.width, depth=plan.depth, rooms=rooms, openings=openings, notches=plan.notches)
+    return Layout(
+        width=plan.width,
+        depth=plan.depth,
+        rooms=rooms,
+        openings=openings,
+        notches=plan.notches,
+        open_plan=spec.generation > 1,
+    )
 
 
 def _rooms(plan: Zoning) -> tuple[RoomPlan, ...]:

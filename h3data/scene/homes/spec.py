@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Literal, get_args
 
@@ -13,6 +13,8 @@ import numpy as np
 from h3data.errors import InputError
 
 Preset = Literal["small", "medium", "large"]
+Look = Literal["nordic", "industrial", "rustic", "mid_century", "mediterranean", "classic", "japandi", "colourful"]
+"""Styles of homes of the second generation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +27,13 @@ class HomePreset:
     bathrooms: int
     extra: tuple[str, ...] = ()
     """Other required rooms."""
+    children: int = 0
+    """Bedrooms that are children's rooms (second generation)."""
+    generation: int = 1
+
+    @property
+    def bedroom_kinds(self) -> list[str]:
+        return ["bedroom"] * (self.bedrooms - self.children) + ["child"] * self.children
 
 
 HOME_PRESETS: Mapping[str, HomePreset] = MappingProxyType(
@@ -38,6 +47,11 @@ HOME_PRESETS: Mapping[str, HomePreset] = MappingProxyType(
 
 MAX_AREA_M2, MAX_BEDROOMS, MAX_BATHROOMS = 1200.0, 8, 6
 MAX_CLUTTER, MAX_DENSITY = 4.0, 12
+GENERATIONS = 2
+HOME_NAMES: Mapping[str, tuple[Preset, int]] = MappingProxyType(
+    {f"{p}{g if g > 1 else ''}": (p, g) for g in range(1, GENERATIONS + 1) for p in get_args(Preset)}
+)
+"""Preset and generation by the name before the colon of a home such as ``small:3`` or ``small2:3``."""
 
 
 def min_area_m2(bedrooms: int, bathrooms: int) -> float:
@@ -65,8 +79,26 @@ class HomeSpec:
     articulated: bool = False
     """Whether fridge, cupboards, drawers and a dishwasher open. Rooms and furniture stay the same; small objects lie inside
     too."""
+    generation: int = 1
+    """1 = the homes of `h3-homes`, 2 = those of `h3-homes-v2`: more kinds of things, rooms and styles."""
+    style: Look | None = None
+    """Style of a home of the second generation; None = chosen by the seed."""
+
+    def __repr__(self) -> str:
+        """As of a plain dataclass; without the fields that came later where they are not set, because jobs and recordings have
+        their identity from it."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name, default in (("articulated", False), ("generation", 1), ("style", None)):
+            if values[name] == default:
+                del values[name]
+        return f"HomeSpec({', '.join(f'{name}={value!r}' for name, value in values.items())})"
 
     def __post_init__(self) -> None:
+        _check_whole("generation", self.generation, 1, GENERATIONS)
+        if self.style is not None and (self.style not in get_args(Look) or self.generation < 2):
+            raise InputError(
+                f"Unknown style {self.style!r}. Available: {', '.join(get_args(Look))}, in homes with generation=2."
+            )
         if self.preset not in get_args(Preset):
             raise InputError(f"Unknown home preset {self.preset!r}. Available: {', '.join(get_args(Preset))}.")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
@@ -86,22 +118,62 @@ class HomeSpec:
     def program(self) -> HomePreset:
         """The preset with this spec's overrides applied."""
         preset = HOME_PRESETS[self.preset]
+        area_m2 = preset.area_m2 if self.area_m2 is None else self.area_m2
+        bedrooms = preset.bedrooms if self.bedrooms is None else self.bedrooms
+        bathrooms = preset.bathrooms if self.bathrooms is None else self.bathrooms
+        first = self.generation == 1
         return HomePreset(
-            area_m2=preset.area_m2 if self.area_m2 is None else self.area_m2,
-            bedrooms=preset.bedrooms if self.bedrooms is None else self.bedrooms,
-            bathrooms=preset.bathrooms if self.bathrooms is None else self.bathrooms,
-            extra=preset.extra,
+            area_m2=area_m2,
+            bedrooms=bedrooms,
+            bathrooms=bathrooms,
+            extra=preset.extra if first else _extra_rooms(area_m2, bedrooms, bathrooms),
+            children=0 if first else bedrooms // 2,
+            generation=self.generation,
         )
 
     @property
-    def changes(self) -> dict[str, float | int]:
+    def look(self) -> Look | None:
+        """Style of the home, chosen by the seed if none is given; None in the first generation."""
+        if self.generation == 1:
+            return None
+        return self.style or seed_look(self.seed)
+
+    @property
+    def changes(self) -> dict[str, float | int | str]:
         """Options that differ from the preset's, in a fixed order."""
         program, preset = self.program, HOME_PRESETS[self.preset]
         rooms = {name: getattr(program, name) for name in ("area_m2", "bedrooms", "bathrooms")}
-        changed = {name: value for name, value in rooms.items() if value != getattr(preset, name)}
+        changed: dict[str, float | int | str] = {n: v for n, v in rooms.items() if v != getattr(preset, n)}
         amounts = {"clutter": float(self.clutter), "density": int(self.density)}
-        opens = {"articulated": True} if self.articulated else {}
-        return {**changed, **{name: value for name, value in amounts.items() if value != 1}, **opens}
+        changed |= {name: value for name, value in amounts.items() if value != 1}
+        if self.generation > 1:
+            changed["generation"] = int(self.generation)
+        if self.look is not None and self.look != seed_look(self.seed):
+            changed["style"] = self.look
+        if self.articulated:
+            changed["articulated"] = True
+        return changed
+
+
+_SPARE_FOR = (("office", 13.0), ("laundry", 5.0), ("garage", 26.0), ("den", 40.0))
+"""Rooms that a home of the second generation gets, in this order, with the area that each must leave spare [m2]."""
+
+
+def _extra_rooms(area_m2: float, bedrooms: int, bathrooms: int) -> tuple[str, ...]:
+    spare = area_m2 - 24.0 - 24.0 * bedrooms - 10.0 * bathrooms
+    found = []
+    for room, area in _SPARE_FOR:
+        if spare < area:
+            break
+        spare -= area
+        found.append(room)
+    return tuple(found)
+
+
+def seed_look(seed: int) -> Look:
+    """The style that a seed stands for."""
+    digest = hashlib.sha256(f"h3data.homes/look/{int(seed)}".encode()).digest()
+    return get_args(Look)[digest[0] % len(get_args(Look))]
 
 
 def _check_number(name: str, value: object, low: float, high: float, why: str = "") -> None:
@@ -172,10 +244,11 @@ Stable: append to a block, never reorder, because recorded semantic images conta
 def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generator:
     """Random numbers of one stage, keyed by (seed, preset, rooms, stage, attempt).
 
-    A stage that samples more or fewer numbers therefore leaves the other stages unchanged. `HomeSpec.clutter`,
-    `HomeSpec.density` and `HomeSpec.articulated` are not part of the key: they leave rooms and furniture unchanged.
+    A stage that samples more or fewer numbers therefore leaves the other stages unchanged. `HomeSpec.clutter`, ``density``,
+    ``style`` and ``articulated`` are not part of the key: they leave rooms and furniture unchanged.
     """
-    rooms = "".join(f"{k}={v!r}/" for k, v in spec.changes.items() if k not in ("clutter", "density", "articulated"))
+    apart = ("clutter", "density", "style", "articulated")
+    rooms = "".join(f"{k}={v!r}/" for k, v in spec.changes.items() if k not in apart)
     text = f"h3data.homes/1/{spec.preset}/{rooms}{int(spec.seed)}/{stage}/{attempt}"
     key = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], "<u8").astype(np.uint64)
     return np.random.Generator(np.random.Philox(key=key))

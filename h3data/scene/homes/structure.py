@@ -237,7 +237,7 @@ def trim_asset(layout: Layout, style: Style) -> Asset:
     mesh = MeshBuilder()
     for room in layout.rooms:
         for axis, face, sign, low, high, openings in room_sides(layout, room):
-            doors = [o for o in openings if o.kind != "window"]
+            doors = [o for o in openings if o.height[0] == 0]
             depth = (face, face + sign * _BASEBOARD_DEPTH)
             ends = [low, *(v for o in sorted(doors, key=lambda o: o.span) for v in o.span), high]
             for i in range(0, len(ends), 2):
@@ -290,8 +290,17 @@ def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> 
     return Asset(name=f"window_{index}", mesh=mesh.mesh(), category="window", shapes=(shape,))
 
 
-def entrance_asset(layout: Layout, opening: Opening, style: Style) -> Asset:
-    """The closed front door."""
+def balustrade_asset(layout: Layout, opening: Opening, index: int, style: Style) -> Asset:
+    """A handrail on the parapet of a balcony."""
+    mesh = MeshBuilder()
+    c0, c1 = wall_thickness_span(layout, opening)
+    middle, (u0, u1), y = (c0 + c1) / 2, opening.span, opening.height[0]
+    _bar(mesh, opening.axis, (u0, u1), (middle - 0.08, middle + 0.08), (y, y + 0.03), style.wood_dark)
+    return Asset(name=f"balustrade_{index}", mesh=mesh.mesh(), category="trim")
+
+
+def entrance_asset(layout: Layout, opening: Opening, style: Style, name: str = "front_door") -> Asset:
+    """The closed front door, or the door of a garage."""
     mesh = MeshBuilder()
     c0, c1 = wall_thickness_span(layout, opening)
     middle = (c0 + c1) / 2
@@ -311,7 +320,7 @@ def entrance_asset(layout: Layout, opening: Opening, style: Style) -> Asset:
         mesh, opening.axis, (u0, u1), (c0, c1), (-0.02, 0.004), style.metal
     )  # threshold: closes the gap under the door
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (c0, c1))
-    return Asset(name="front_door", mesh=mesh.mesh(), category="door", shapes=(box_shape((x0, 0, z0), (x1, y1, z1)),))
+    return Asset(name=name, mesh=mesh.mesh(), category="door", shapes=(box_shape((x0, 0, z0), (x1, y1, z1)),))
 
 
 def blind_asset(layout: Layout, opening: Opening, index: int, style: Style, rng: np.random.Generator) -> Asset:

@@ -70,12 +70,25 @@ _LIMITS: Limits = {
     "bedroom": (2.9, 9.5, 24.0, 1.8),
     "bathroom": (1.85, 4.2, 10.5, 2.3),
     "hall": (1.3, 2.0, 18.0, 9.0),
+    "child": (2.7, 8.5, 19.0, 1.9),
+    "office": (2.4, 6.5, 19.0, 2.1),
+    "laundry": (1.8, 3.6, 9.5, 2.6),
+    "garage": (3.2, 16.0, 44.0, 2.2),
+    "den": (3.0, 11.0, 40.0, 2.1),
+    "balcony": (1.4, 3.0, 24.0, 9.0),
 }
+_LIMITS_2 = {**_LIMITS, "living": (3.5, 15.0, 38.0, 1.9)}
 _MUST_TOUCH = {
     ("living", "kitchen"): 2.0,
     ("living", "hall"): 1.3,
     ("hall", "bedroom"): 1.3,
     ("hall", "bathroom"): 1.3,
+    ("hall", "child"): 1.3,
+    ("hall", "office"): 1.3,
+    ("hall", "laundry"): 1.3,
+    ("hall", "garage"): 1.3,
+    ("hall", "den"): 1.3,
+    ("living", "balcony"): 2.0,
 }
 """Length of wall [m] that every room of the second kind must share with one of the first."""
 
@@ -104,6 +117,29 @@ def _touch_penalty(tiles: Sequence[Tile]) -> float:
     return total
 
 
+def with_balcony(rng: np.random.Generator, tiles: list[Tile], width: float, depth: float) -> list[Tile]:
+    """The tiles with a balcony cut off from the outer side of the living room; unchanged if it has no room for one."""
+    k = next(i for i, (kind, _) in enumerate(tiles) if kind == "living")
+    rect = tiles[k][1]
+    x0, z0, x1, z1 = rect
+    deep = float(rng.uniform(1.55, 1.95))
+    options = []
+    for side, (outside, spare) in enumerate(
+        ((x0 == 0, x1 - x0), (z0 == 0, z1 - z0), (abs(x1 - width) < 0.006, x1 - x0), (abs(z1 - depth) < 0.006, z1 - z0))
+    ):
+        long = rect_area(rect) / spare
+        if outside and spare - deep > 3.5 and 2.6 < long < 12:
+            options.append(side)
+    if not options:
+        return tiles
+    side = options[int(rng.random() * len(options))]
+    living, balcony = list(rect), list(rect)
+    living[side] = balcony[(side + 2) % 4] = round(rect[side] + (deep if side < 2 else -deep), 2)
+    out = list(tiles)
+    out[k] = ("living", (living[0], living[1], living[2], living[3]))
+    return [*out, ("balcony", (balcony[0], balcony[1], balcony[2], balcony[3]))]
+
+
 # --- small and medium homes -------------------------------------------------------------------------------------------
 def _split(rng: np.random.Generator, low: float, high: float, weights: Sequence[float]) -> list[float]:
     shares = np.asarray(weights) * rng.uniform(0.85, 1.18, len(weights))
@@ -123,14 +159,21 @@ def _public(rng: np.random.Generator, rect: Rect) -> list[Tile]:
     return [("living", (x0, z0, x1, cut)), ("kitchen", (x0, cut, x1, z1))]
 
 
+_WEIGHT = {"bathroom": 0.52, "laundry": 0.4, "office": 0.75, "child": 0.85, "garage": 1.6}
+"""Length of wall of a room beside the corridor, relative to a bedroom's; 1 for kinds that are not listed."""
+
+
 def _strip(rng: np.random.Generator, kinds: Sequence[str], low: float, high: float) -> list[tuple[str, float, float]]:
-    weights = [0.52 if kind == "bathroom" else 1.0 for kind in kinds]
+    weights = [_WEIGHT.get(kind, 1.0) for kind in kinds]
     cuts = _split(rng, low, high, weights)
     return list(zip(kinds, cuts[:-1], cuts[1:], strict=True))
 
 
 def _private(rng: np.random.Generator, program: HomePreset) -> list[str]:
-    return rng.permutation(["bedroom"] * program.bedrooms + ["bathroom"] * program.bathrooms).tolist()
+    kinds = program.bedroom_kinds + ["bathroom"] * program.bathrooms
+    if program.generation > 1:
+        kinds += program.extra
+    return rng.permutation(kinds).tolist()
 
 
 def _wing(rng: np.random.Generator, shape: str, part: float, depth: float, share: float) -> tuple[float, float]:
@@ -212,8 +255,10 @@ def _best_of(rng: np.random.Generator, program: HomePreset, shape: str) -> Zonin
         depth = round(box / width, 2)
         across = program.bedrooms == 1 and shape != "hook" and rng.random() < 0.5
         raw_tiles, notches = (_spine_across if across else _spine_along)(rng, width, depth, program, shape, share)
+        if program.generation > 1:
+            raw_tiles = with_balcony(rng, raw_tiles, width, depth)
         tiles = tuple((kind, rounded(rect)) for kind, rect in raw_tiles)
-        penalty = size_penalty(tiles, _LIMITS, roomy) + _touch_penalty(tiles)
+        penalty = size_penalty(tiles, _LIMITS if program.generation == 1 else _LIMITS_2, roomy) + _touch_penalty(tiles)
         penalty += 50 * max(0.0, abs(sum(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
         if best is None or penalty < best[0]:
             plan = Zoning(width=width, depth=depth, tiles=tiles, notches=tuple(rounded(n) for n in notches))

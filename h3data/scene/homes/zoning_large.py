@@ -7,8 +7,8 @@ may differ in length, which gives L- and T-shaped footprints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Literal
 
@@ -16,14 +16,25 @@ import numpy as np
 
 from h3data.errors import SceneError
 from h3data.scene.homes.spec import HomePreset, HomeSpec, stage_rng
-from h3data.scene.homes.zoning import NOTCH_SHARE, Limits, Rect, Tile, Zoning, rect_area, rounded, size_penalty
+from h3data.scene.homes.zoning import (
+    NOTCH_SHARE,
+    Limits,
+    Rect,
+    Tile,
+    Zoning,
+    rect_area,
+    rounded,
+    size_penalty,
+    with_balcony,
+)
 
 LARGE_FROM_M2, LARGE_FROM_BEDROOMS = 215.0, 6
 _GALLERY, _BRANCH, _NARROW = (2.0, 2.5), (1.5, 1.7), (1.4, 1.6)
 _SERVICE_FROM_M2 = 420.0
 """Above this area, kitchens have a pantry and a laundry, and galleries are wide."""
-_TRIALS, _WORST = 250, 3.0
-"""Plans tried per footprint shape, and the largest acceptable penalty."""
+_TRIALS, _WORST, _WORST_2, _GOOD_2 = 250, 3.0, 6.0, 2.0
+"""Plans tried per footprint shape, and the largest acceptable penalty by generation: homes of the second have more
+rooms, and their search ends at a plan below the last number."""
 
 _LIMITS: Limits = {
     "living": (4.5, 24.0, 125.0, 2.1),
@@ -37,6 +48,9 @@ _LIMITS: Limits = {
     "laundry": (1.9, 4.5, 26.0, 2.8),
     "pantry": (1.7, 3.5, 24.0, 2.8),
     "hall": (1.3, 2.0, 200.0, 40.0),
+    "child": (2.8, 9.0, 40.0, 2.0),
+    "garage": (3.6, 18.0, 80.0, 2.2),
+    "balcony": (1.4, 3.0, 60.0, 12.0),
 }
 _AREA = {
     "living": 80.0,
@@ -51,8 +65,25 @@ _AREA = {
     "pantry": 9.0,
 }
 """Desired area of each kind of room [m2], before all are scaled together to fill the home."""
+_AREA_2 = {
+    "living": (30.0, 118.0),
+    "dining": (14.0, 46.0),
+    "kitchen": (15.0, 52.0),
+    "bedroom": (14.5, 34.0),
+    "child": (13.5, 24.0),
+    "bathroom": (8.0, 12.5),
+    "den": (16.0, 44.0),
+    "office": (12.0, 20.0),
+    "library": (15.0, 34.0),
+    "laundry": (7.5, 12.0),
+    "pantry": (5.0, 7.0),
+    "garage": (24.0, 52.0),
+}
+"""The same for the second generation, in homes of `_SIZES`: the larger a home, the less equal are its rooms."""
+_SIZES = (140.0, 840.0)
 _FILL = ("dining", "office", "living", "den", "library", "living", "office", "den", "library", "living", "office")
 """Rooms added, in this order, while area is left."""
+_FILL_2 = ("dining", "office", "garage", "library", "den", "child", "office", "bathroom", "den", "library", "office")
 
 
 @dataclass(frozen=True)
@@ -60,10 +91,15 @@ class _Cell:
     """One or more rooms, of which the first is entered from the corridor."""
 
     rooms: tuple[str, ...]
+    desired: Mapping[str, float] = field(default_factory=lambda: _AREA)
+
+    @property
+    def areas(self) -> list[float]:
+        return [self.desired[r] for r in self.rooms]
 
     @property
     def area(self) -> float:
-        return sum(_AREA[r] for r in self.rooms)
+        return sum(self.areas)
 
 
 @dataclass(frozen=True)
@@ -117,12 +153,12 @@ def _fill_cell(rng: np.random.Generator, zone: _Zone, cell: _Cell) -> list[Tile]
     first, *rest = cell.rooms
     if not rest:
         return [(first, zone.rect)]
-    front, back = _cut_in_two(rng, zone, sum(_AREA[r] for r in rest) / cell.area)
+    front, back = _cut_in_two(rng, zone, sum(cell.areas[1:]) / cell.area)
     tiles: list[Tile] = [(first, front)]
     if len(rest) == 1:
         return [*tiles, (rest[0], back)]
     x0, z0, x1, z1 = back
-    share = _AREA[rest[0]] / (_AREA[rest[0]] + _AREA[rest[1]])
+    share = cell.areas[1] / (cell.areas[1] + cell.areas[2])
     if x1 - x0 > z1 - z0:
         cut = x0 + (x1 - x0) * share
         return [*tiles, (rest[0], (x0, z0, cut, z1)), (rest[1], (cut, z0, x1, z1))]
@@ -172,6 +208,8 @@ def _fill_branch(rng: np.random.Generator, zone: _Zone, cells: Sequence[_Cell]) 
 
 def _cells(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
     """The public cells, which stay adjacent and in order, and all other cells."""
+    if program.generation > 1:
+        return _cells_2(program)
     rooms = list(program.extra)
     private = [_Cell(("bedroom",))] * max(0, program.bedrooms - program.bathrooms + 1)
     suites = program.bedrooms - len(private)
@@ -195,13 +233,39 @@ def _cells(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
     return public, [*private, *(_Cell((room,)) for room in rooms)]
 
 
-def _grouped(rng: np.random.Generator, cells: Sequence[_Cell], depth: float, scale: float) -> list[_Unit]:
-    """Cells large enough to span the depth of a row, and the others in groups around branch corridors."""
+def _cells_2(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
+    """The cells of the second generation: children's rooms have no bathroom of their own, parents' may have one."""
+    suites = max(0, min(program.bedrooms - program.children, program.bathrooms - 1))
+    single = [*["bedroom"] * (program.bedrooms - program.children - suites), *["child"] * program.children]
+    single += ["bathroom"] * (program.bathrooms - suites)
+    rooms = [r for r in program.extra if r != "laundry"]
+    service = ("pantry", "laundry") if program.area_m2 > _SERVICE_FROM_M2 else ()
+    single += [] if service else [r for r in program.extra if r == "laundry"]
+    share = min(max((program.area_m2 - _SIZES[0]) / (_SIZES[1] - _SIZES[0]), 0.0), 1.0)
+    desired = {kind: low + share * (high - low) for kind, (low, high) in _AREA_2.items()}
+    used = sum(desired[r] for r in ("living", "kitchen", *service, *single, *rooms, *["bedroom", "bathroom"] * suites))
+    missing = list(rooms)
+    for room in _FILL_2:
+        if room in missing:
+            missing.remove(room)
+        elif 1.33 * (used + desired[room]) <= program.area_m2:
+            used += desired[room]
+            rooms.append(room)
+    public = [("living",), *([("dining",)] if "dining" in rooms else []), ("kitchen", *service)]
+    others = [*[("bedroom", "bathroom")] * suites, *((r,) for r in (*single, *rooms) if r != "dining")]
+    return [_Cell(c, desired) for c in public], [_Cell(c, desired) for c in others]
+
+
+def _grouped(
+    rng: np.random.Generator, cells: Sequence[_Cell], depth: float, scale: float, wide: tuple[float, float]
+) -> list[_Unit]:
+    """Cells large enough to span the depth of a row, and the others in groups of a width in the range ``wide`` [m] around
+    branch corridors."""
     deep = [c for c in cells if c.area * scale / depth >= 0.52 * depth]
     small = [c for c in cells if c not in deep]
     if not small:
         return list(deep)
-    count = max(1, round(sum(c.area for c in small) * scale / (depth * rng.uniform(10.0, 15.0))))
+    count = max(1, round(sum(c.area for c in small) * scale / (depth * rng.uniform(*wide))))
     groups: list[list[_Cell]] = [[] for _ in range(count)]
     for i in rng.permutation(len(small)).tolist():
         min(groups, key=lambda g: sum(c.area for c in g)).append(small[i])
@@ -233,7 +297,8 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
     units: list[list[_Unit]] = []
     for k in (0, 1):
         single: list[_Unit] = list(public) if k == home else []
-        extra = _grouped(rng, [c for c in rows[k] if c not in public], depth, scale)
+        group_m = (10.0, 15.0) if program.generation == 1 else (7.0, 11.5)
+        extra = _grouped(rng, [c for c in rows[k] if c not in public], depth, scale, group_m)
         extra = [extra[i] for i in rng.permutation(len(extra)).tolist()]
         at = int(rng.integers(len(extra) + 1))
         units.append([*extra[:at], *(single if rng.random() < 0.5 else single[::-1]), *extra[at:]])
@@ -255,8 +320,12 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
     tiles = _gallery(rng, (0.0, lower, width, round(lower + corridor, 2)))
     tiles += _fill_row(rng, _Zone((0.0, 0.0, width, lower), 2), units[1])
     tiles += _fill_row(rng, _Zone((start, round(lower + corridor, 2), end, whole), 0), units[0])
+    if program.generation > 1:
+        tiles = with_balcony(rng, tiles, width, whole)
     tiles = [(kind, rounded(rect)) for kind, rect in tiles]
     limits = {k: (side, min(1.0, scale) * least, most, aspect) for k, (side, least, most, aspect) in _LIMITS.items()}
+    if program.generation > 1:  # behind a balcony
+        limits["living"] = (3.5, *limits["living"][1:])
     penalty = size_penalty(tiles, limits, max(1.0, scale / 1.35))
     penalty += 50 * max(0.0, abs(sum(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
     penalty += 30 * max(0.0, whole / width - 1.1, width / whole - 2.3)
@@ -281,13 +350,14 @@ def plan_large_zoning(spec: HomeSpec, attempt: int, sound: Callable[[Zoning], bo
     """
     rng = stage_rng(spec, "rooms", attempt)
     shapes: tuple[Shape, ...] = ("rectangle", "L", "T")
+    worst = _WORST if spec.generation == 1 else _WORST_2
     for k in rng.permutation(3).tolist():
         best: tuple[float, Zoning] | None = None
         for _ in range(_TRIALS):
             penalty, plan = _gallery_plan(rng, spec.program, shapes[k])
-            if (best is None or penalty < best[0]) and penalty < _WORST and sound(plan):
+            if (best is None or penalty < best[0]) and penalty < worst and sound(plan):
                 best = (penalty, plan)
-                if penalty == 0:
+                if penalty == 0 or (spec.generation > 1 and penalty < _GOOD_2):
                     break
         if best is not None:
             return best[1]

@@ -13,6 +13,7 @@ import numpy as np
 from h3data.errors import InputError, MissingAssetError, SceneError
 from h3data.habitat.scene_names import NamedScene, open_scene
 from h3data.scene import HOME_PRESETS, FreeSpace, Scene
+from h3data.scene.homes import HOME_NAMES
 from h3data.scene.scene_sets import SceneFile, SceneSource, builtin_sets, find_scene_set
 from h3data_pipelines.command import Outcome
 
@@ -46,12 +47,12 @@ def presets_and_sets() -> Outcome:
     presets = [
         {
             "preset": name,
-            "area_m2": p.area_m2,
-            "bedrooms": p.bedrooms,
-            "bathrooms": p.bathrooms,
+            "area_m2": HOME_PRESETS[preset].area_m2,
+            "bedrooms": HOME_PRESETS[preset].bedrooms,
+            "bathrooms": HOME_PRESETS[preset].bathrooms,
             "seeds": "0, 1, 2, ...",
         }
-        for name, p in HOME_PRESETS.items()
+        for name, (preset, _) in HOME_NAMES.items()
     ]
     scene_sets = [find_scene_set(f"{name}/{split}") for name, splits in builtin_sets().items() for split in splits]
     sets = [
@@ -70,7 +71,7 @@ def presets_and_sets() -> Outcome:
         text_table(
             ("preset", "floor m2", "bedrooms", "bathrooms", "seeds"), [[cell(v) for v in r.values()] for r in presets]
         ),
-        "Name a home as preset:seed, e.g. small:3, with any seed from 0.",
+        "Name a home as preset:seed, e.g. small:3, with any seed from 0; small2:3 is one of the second generation.",
         text_table(
             ("set", "scenes", "episodes each", "episodes", "spawn distance m", "about"),
             [[cell(v) for v in r.values()] for r in sets],

@@ -18,7 +18,8 @@ from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RigidObject
 from h3data.habitat.scene_names import NamedScene, named_scenes, open_free_space, open_scene
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.progress import progress
-from h3data.scene import HOME_PRESETS, FreeSpace, Scene
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.homes import HOME_NAMES
 from h3data.scene.scene_sets import SceneFile, SceneSet, find_scene_set
 from h3data_pipelines.assets.scene_reports import (
     AGENT_HEIGHT_M,
@@ -64,8 +65,8 @@ class ScenesList:
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]] = ()
-    """A preset (small, medium, large), one home (small:3), a set (h3-homes/test, a .toml file), one of its scenes
-    (h3-homes/test#3) or paths of scenes (default: list presets and sets)."""
+    """A preset (small, medium, large, small2, ...), one home (small:3), a set (h3-homes/test, a .toml file), one of
+    its scenes (h3-homes/test#3) or paths of scenes (default: list presets and sets)."""
     homes: int = 4
     """Number of homes to list per preset."""
     assets: AssetsOption = ()
@@ -263,7 +264,8 @@ class ScenesValidate:
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """A preset (small, medium, large), one home (small:3), a set (h3-homes/test, a .toml file) or paths of scenes."""
+    """A preset (small, medium, large, small2, ...), one home (small:3), a set (h3-homes/test, a .toml file) or paths of
+    scenes."""
     homes: int = 4
     """Number of homes to check per preset."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -332,7 +334,7 @@ def _named(
 
 
 def _refuse_preset(text: str) -> None:
-    if text in HOME_PRESETS:
+    if text in HOME_NAMES:
         raise InputError(f"Expected a single home, {text!r} is a preset: add a seed, e.g. {text}:0.")
 
 

@@ -70,8 +70,12 @@ class Job:
             values["agents"] = agents if self.found_task.bodies_in_agents else ",".join(agents)
         values |= {name: rules_dict(values[name]) for name in ("spec", "drawn_with") if values.get(name) is not None}
         told = json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
-        if isinstance(home := told["source"], dict) and home.get("articulated") is False:
-            del home["articulated"]  # as before homes could open: what was begun then goes on
+        # Datasets made before homes had generations, or could open, keep their identity.
+        for home in (v for v in told.values() if isinstance(v, dict) and "preset" in v):
+            if home.get("generation") == 1:
+                del home["generation"], home["style"]
+            if home.get("articulated") is False:
+                del home["articulated"]
         return told
 
     @cached_property

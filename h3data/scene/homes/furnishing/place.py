@@ -28,11 +28,16 @@ GAP_BAND = (0.45, 0.60)
 CRUMB_M2 = 0.002
 """Smaller areas of cut-off floor or pockets are rounding errors [m2]."""
 _DOOR_DEPTH = 0.8
+_OPEN_DEPTH, _OPEN_FROM = 0.36, 2.6
+"""Free floor on both sides of openings wider than this in homes of the second generation [m]."""
 _TALL = 0.88
 """Taller furniture does not stand in front of windows [m]."""
-_REACH = {"desk": 0.85, "dining_table": 0.65, "kitchen_island": 0.65}
+_REACH = {"desk": 0.85, "dining_table": 0.65, "kitchen_island": 0.65, "kids_table": 0.6, "balcony_table": 0.65}
 """Greatest distance from walkable floor to furniture with chairs in between; 0.38 m for other furniture [m]."""
-_FROM_ANYWHERE = ("dining_table", "coffee_table", "bed", "kitchen_island")
+_FROM_ANYWHERE = (
+    "dining_table", "coffee_table", "bed", "kitchen_island", "kids_table", "balcony_table", "side_table", "pouf",
+    "ironing_board", "bunk_bed",
+)  # fmt: skip
 """Furniture used from any side; all other furniture with a surface is used from its front."""
 
 
@@ -105,11 +110,12 @@ def room_state(layout: Layout, room: RoomPlan) -> RoomState:
             continue
         x0, z0 = room.rect[:2]
         side = (0 if abs(o.line - z0) < 1e-9 else 2) if o.axis == 0 else (1 if abs(o.line - x0) < 1e-9 else 3)
-        if o.kind == "window":
+        if o.height[0] > 0:
             windows.append((side, o))
             continue
         low, high = o.span[0] - 0.05, o.span[1] + 0.05
-        keep.append(strip(room.interior, side, low, high, _DOOR_DEPTH))
+        depth = _OPEN_DEPTH if layout.open_plan and high - low > _OPEN_FROM and len(o.rooms) == 2 else _DOOR_DEPTH
+        keep.append(strip(room.interior, side, low, high, depth))
         doors.append((side, o))
     return RoomState(room=room, doors=doors, windows=windows, keep=keep)
 

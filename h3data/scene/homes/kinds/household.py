@@ -1,0 +1,210 @@
+"""Things of the bathroom, the laundry, the wardrobe, the garage and the garden."""
+
+from __future__ import annotations
+
+from h3data.scene.homes.kinds.kind import numbered, thing
+from h3data.scene.homes.kinds.parts import arc, ball, box, lathe, leaves, line, rod, soft
+
+_STEEL = "steel"
+
+_BATH = (
+    thing("toothbrush_cup", 0.2, "body", lathe("ceramic", (0, 0), (0.032, 0), (0.036, 0.095), (0.032, 0.095), (0, 0.02)),
+          line("tool", 0.004, (0.0, 0.02, 0), (0.03, 0.17, 0.005)), box("white", 0.031, 0.165, 0.005, 0.008, 0.025, 0.014),
+          line("tool2", 0.004, (0.0, 0.02, 0), (-0.028, 0.17, -0.01)), box("white", -0.029, 0.165, -0.01, 0.008, 0.025,
+          0.014)),
+    thing("toothpaste", 0.1, "body", box("white", 0, 0, 0, 0.13, 0.025, 0.04, bevel=0.01), box("tool", -0.01, 0.002, 0, 0.07,
+          0.0245, 0.0405, bevel=0.01), rod("tool", 0.072, 0.002, 0, 0.011, 0.022, turn=(0, 0, 90), n=8)),
+    thing("soap_dispenser", 0.35, "body", lathe("ceramic", (0, 0), (0.034, 0), (0.036, 0.1), (0.014, 0.12)), rod(_STEEL, 0,
+          0.12, 0, 0.007, 0.04, n=8), box(_STEEL, 0, 0.155, 0.015, 0.016, 0.01, 0.05, bevel=0.003)),
+    thing("soap_bar", 0.1, "body", lathe("ceramic", (0, 0), (0.05, 0.003), (0.055, 0.014), (0, 0.01), stretch=(1, 0.75)),
+          soft("pastel", 0, 0.012, 0, 0.075, 0.024, 0.045, 0.011)),
+    thing("shampoo", 0.4, "body", lathe("bright", (0, 0), (0.03, 0), (0.033, 0.02), (0.033, 0.14), (0.012, 0.165), n=12,
+          stretch=(1.1, 0.7)), rod("white", 0, 0.162, 0, 0.018, 0.03), box("white", 0, 0.05, 0.0235, 0.036, 0.06, 0.001)),
+    thing("toilet_roll", 0.1, "body", lathe("paper", (0.022, 0), (0.056, 0), (0.056, 0.1), (0.022, 0.1), (0.022, 0), n=16),
+          solid="round"),
+    thing("toilet_brush", 0.5, "handle", lathe("device", (0, 0), (0.05, 0), (0.045, 0.14), (0.03, 0.15), (0, 0.15)),
+          rod(_STEEL, 0, 0.15, 0, 0.008, 0.24, n=8), hold=(0, 0.36, 0), solid="round"),
+    thing("hair_dryer", 0.6, "handle", rod("plastic", 0, 0.0, 0, 0.036, 0.19, top=0.028, turn=(0, 0, -90)), rod("black",
+          -0.1, 0.002, 0, 0.034, 0.02, turn=(0, 0, 90)), box("plastic", -0.03, 0.02, 0.08, 0.036, 0.034, 0.13, bevel=0.012),
+          hold=(-0.03, 0.04, 0.1)),
+    thing("hairbrush", 0.1, "handle", soft("wood", 0, 0.012, -0.045, 0.065, 0.018, 0.11, 0.009), box("black", 0, 0, -0.045,
+          0.05, 0.014, 0.09), soft("wood", 0, 0.012, 0.07, 0.022, 0.016, 0.13, 0.008), hold=(0, 0.02, 0.08)),
+    thing("perfume", 0.25, "body", box((214, 190, 150), 0, 0, 0, 0.06, 0.075, 0.03, bevel=0.006), rod("brass", 0, 0.075, 0,
+          0.013, 0.035)),
+    thing("cream_jar", 0.15, "body", rod("ceramic", 0, 0, 0, 0.034, 0.035, n=14), rod("brass", 0, 0.035, 0, 0.035, 0.017,
+          n=14), solid="round"),
+    thing("rubber_duck", 0.06, "body", ball((246, 206, 60), 0, 0.03, 0, 0.045, 0.03, 0.034), ball((246, 206, 60), 0.022,
+          0.072, 0, 0.024, n=8), rod((232, 120, 40), 0.04, 0.062, 0, 0.009, 0.018, top=0.003, turn=(0, 0, -90), n=6),
+          rod((246, 206, 60), -0.042, 0.036, 0, 0.012, 0.025, top=0.002, turn=(0, 0, 60), n=6)),
+    thing("folded_towel", 0.5, "body", soft("cloth", 0, 0, 0, 0.3, 0.03, 0.2, 0.014), soft("cloth*1.08", 0, 0.028, 0, 0.296,
+          0.03, 0.196, 0.014), aligned=True),
+    thing("bathroom_scale", 1.8, "edge", box((64, 68, 74), 0, 0, 0, 0.3, 0.025, 0.3, bevel=0.008), box("glass", 0, 0.025, 0,
+          0.29, 0.004, 0.29), box((40, 60, 56), 0, 0.029, 0.1, 0.08, 0.001, 0.03), aligned=True),
+    thing("wash_basket_small", 0.5, "rim", lathe("rattan", (0, 0), (0.08, 0), (0.1, 0.11), (0.094, 0.11), (0, 0.03), n=14),
+          soft("cloth", 0.02, 0.05, 0, 0.1, 0.05, 0.11, 0.02), solid="round"),
+)  # fmt: skip
+
+_LAUNDRY = (
+    thing("detergent", 2.2, "handle", soft("bright", 0, 0, 0, 0.15, 0.23, 0.09, 0.02), rod("bright2", -0.035, 0.225, 0,
+          0.026, 0.045), box("white", 0, 0.05, 0.0455, 0.11, 0.12, 0.001), arc("bright", 0.072, 0.17, 0.035, -70, 70, 0.009,
+          n=4), hold=(0.1, 0.17, 0)),
+    thing("iron", 1.3, "handle", lathe(_STEEL, (0, 0), (0.055, 0), (0.055, 0.008), (0, 0.008), stretch=(1, 2.2), n=8),
+          soft("tool", 0, 0.008, 0.01, 0.085, 0.05, 0.19, 0.024), line("tool", 0.014, (0, 0.05, -0.06), (0, 0.11, -0.04),
+          (0, 0.115, 0.06), (0, 0.05, 0.08), n=8), hold=(0, 0.115, 0.01)),
+    thing("peg_basket", 0.4, "rim", lathe("rattan", (0, 0), (0.08, 0), (0.1, 0.09), (0.095, 0.09), (0, 0.05)), tuple(
+          box(_c, 0.03 * (i % 3 - 1), 0.06, 0.03 * (i // 3 - 1), 0.012, 0.06, 0.012, turn=(20 * i, 35 * i, 30))
+          for i, _c in enumerate(("toy", "toy2", "wood", "toy3", "wood", "toy", "toy2"))), solid="round"),
+    thing("spray_bottle", 0.6, "body", lathe("bright", (0, 0), (0.036, 0), (0.038, 0.12), (0.014, 0.165), n=12),
+          box("white", 0, 0.16, 0.015, 0.024, 0.045, 0.075, bevel=0.006), box("tool", 0, 0.135, 0.035, 0.012, 0.04, 0.012)),
+    thing("bucket", 0.5, "handle", lathe("tool", (0, 0), (0.1, 0), (0.13, 0.24), (0.125, 0.24), (0.095, 0.01), (0, 0.01),
+          n=16), arc(_STEEL, 0, 0.235, 0.128, 0, 180, 0.004, n=8), hold=(0, 0.36, 0)),
+    thing("folded_shirt", 0.25, "body", soft("cloth", 0, 0, 0, 0.26, 0.035, 0.32, 0.016), box("cloth*1.15", 0, 0.034, -0.1,
+          0.1, 0.008, 0.06, bevel=0.003), box("cloth*0.85", 0, 0.034, 0.03, 0.016, 0.003, 0.2), aligned=True),
+    thing("folded_jeans", 0.6, "body", soft("denim", 0, 0, 0, 0.26, 0.035, 0.34, 0.016), soft("denim*0.9", 0, 0.033, 0.01,
+          0.255, 0.03, 0.3, 0.014), aligned=True),
+)  # fmt: skip
+
+
+def _shoe(sole: str, upper: str, *, tall: float = 0.0) -> tuple:
+    return (
+        box(sole, 0, 0, 0, 0.085, 0.022, 0.27, bevel=0.01),
+        soft(upper, 0, 0.015, 0.055, 0.08, 0.05, 0.15, 0.024),
+        soft(upper, 0, 0.015, -0.065, 0.078, 0.075 + tall, 0.13, 0.03),
+        box("black", 0, 0.088 + tall, -0.065, 0.045, 0.004, 0.08),
+    )
+
+
+_CLOTHES = (
+    thing("sneaker", 0.35, "rim", _shoe("white", "bright"), box("white", 0, 0.064, 0.03, 0.035, 0.006, 0.07, turn=(18, 0,
+          0)), aligned=True),
+    thing("leather_shoe", 0.5, "rim", _shoe("black", "leather"), aligned=True),
+    thing("boot", 0.8, "rim", _shoe("rubber", "leather", tall=0.14), aligned=True),
+    thing("rubber_boot", 0.7, "rim", _shoe("rubber*1.3", "tool", tall=0.2), aligned=True),
+    thing("slipper", 0.15, "rim", box("rubber", 0, 0, 0, 0.09, 0.016, 0.25, bevel=0.007), soft("cloth", 0, 0.01, 0.05, 0.09,
+          0.055, 0.14, 0.024), box("fur", 0, 0.016, -0.06, 0.074, 0.006, 0.11, bevel=0.002), aligned=True),
+    thing("sandal", 0.25, "edge", box("leather", 0, 0, 0, 0.088, 0.018, 0.25, bevel=0.007), tuple(box("leather*0.7", 0,
+          0.018 + 0.012 * k, 0.06 - 0.11 * k, 0.092, 0.018 + 0.01 * k, 0.026, bevel=0.006) for k in (0, 1)), aligned=True),
+    thing("hat", 0.15, "rim", lathe("fur", (0, 0), (0.16, 0.006), (0.16, 0.01), (0.09, 0.014), (0.082, 0.09), (0.05, 0.105),
+          (0, 0.098), n=18, stretch=(1, 1.12)), lathe("black", (0.0925, 0.014), (0.0895, 0.038), n=18, stretch=(1, 1.12)),
+          solid="round"),
+    thing("cap", 0.1, "edge", lathe("bright", (0.088, 0), (0.088, 0.03), (0.07, 0.085), (0, 0.105), n=14, z=-0.03),
+          lathe("bright*0.8", (0, 0), (0.085, 0.002), (0.085, 0.008), (0, 0.01), z=0.07, stretch=(0.9, 0.85)),
+          ball("bright*0.8", 0, 0.106, -0.03, 0.008, n=6)),
+    thing("handbag", 0.9, "handle", soft("leather", 0, 0, 0, 0.3, 0.2, 0.11, 0.03), box("leather*0.8", 0, 0.13, 0.056, 0.26,
+          0.07, 0.006, bevel=0.002), box("brass", 0, 0.125, 0.062, 0.03, 0.022, 0.006), arc("leather*0.8", 0, 0.18, 0.09, 0,
+          180, 0.007, n=8), hold=(0, 0.27, 0), aligned=True),
+    thing("backpack", 1.2, "handle", soft("bright", 0, 0, 0, 0.3, 0.4, 0.16, 0.06), soft("bright*0.8", 0, 0.03, 0.09, 0.22,
+          0.18, 0.07, 0.03), box("black", 0, 0.25, 0.08, 0.24, 0.012, 0.012), arc("black", 0, 0.385, 0.04, 0, 180, 0.009,
+          n=5), hold=(0, 0.42, 0), aligned=True),
+    thing("folded_scarf", 0.2, "body", soft("cloth", 0, 0, 0, 0.24, 0.05, 0.18, 0.022), tuple(box("cloth2", 0.05 * i, 0.0015,
+          0.09, 0.008, 0.048, 0.002) for i in (-2, -1, 0, 1, 2)), aligned=True),
+    thing("gloves", 0.1, "body", soft("leather", -0.03, 0, 0, 0.09, 0.024, 0.11, 0.011), tuple(soft("leather", -0.063 +
+          0.022 * i, 0.002, 0.08, 0.02, 0.02, 0.07, 0.009) for i in range(4)), soft("leather*0.9", 0.045, 0.002, 0.01, 0.05,
+          0.02, 0.05, 0.009)),
+    thing("umbrella", 0.4, "handle", lathe("bright", (0, 0), (0.012, 0.02), (0.03, 0.1), (0.035, 0.5), (0.012, 0.6), n=8),
+          rod(_STEEL, 0, 0.6, 0, 0.005, 0.1, n=6), arc("wood_dark", 0.03, 0.7, 0.03, 0, 180, 0.009), hold=(0, 0.66, 0),
+          solid="round"),
+    thing("sunglasses", 0.03, "body", tuple(box("black", 0.035 * s, 0, 0.0, 0.055, 0.042, 0.005, bevel=0.002)
+          for s in (-1, 1)), tuple(box("leather", 0.065 * s, 0.028, -0.06, 0.004, 0.008, 0.12) for s in (-1, 1))),
+    thing("wallet", 0.15, "body", box("leather", 0, 0, 0, 0.115, 0.022, 0.09, bevel=0.005), box("leather*0.7", 0, 0.006,
+          0.0005, 0.113, 0.008, 0.091)),
+    thing("keys", 0.08, "body", lathe("brass", (0.014, 0), (0.018, 0.0015), (0.014, 0.003), (0.011, 0.0015), (0.014, 0)),
+          box("steel", 0.035, 0.001, 0.008, 0.045, 0.003, 0.012, turn=(0, 20, 0)), box("brass", 0.028, 0.003, -0.018, 0.045,
+          0.003, 0.012, turn=(0, -35, 0)), box("tool", -0.03, 0, 0.0, 0.04, 0.005, 0.02, bevel=0.002)),
+)  # fmt: skip
+
+_GARAGE = (
+    thing("toolbox", 4.5, "handle", box("tool", 0, 0, 0, 0.42, 0.15, 0.2, bevel=0.006), box("tool*0.75", 0, 0.15, 0, 0.42,
+          0.035, 0.19, bevel=0.01), tuple(box(_STEEL, 0.12 * s, 0.12, 0.101, 0.03, 0.05, 0.006) for s in (-1, 1)),
+          line("black", 0.009, (-0.09, 0.18, 0), (-0.09, 0.225, 0), (0.09, 0.225, 0), (0.09, 0.18, 0)), hold=(0, 0.225, 0),
+          aligned=True),
+    thing("hammer", 0.6, "handle", rod("wood", 0, 0.008, 0.03, 0.013, 0.26, turn=(90, 0, 0), n=8), rod("steel*0.7", 0, 0.002,
+          -0.1, 0.018, 0.09, turn=(0, 0, 90), n=8), box("steel*0.7", -0.06, 0.008, -0.1, 0.04, 0.012, 0.024),
+          hold=(0, 0.02, 0.09)),
+    thing("screwdriver", 0.15, "handle", rod("tool", 0, 0, 0.06, 0.015, 0.1, turn=(90, 0, 0), n=8), rod(_STEEL, 0, 0.0, -0.05,
+          0.004, 0.12, turn=(90, 0, 0), n=6), hold=(0, 0.015, 0.06)),
+    thing("wrench", 0.3, "body", box(_STEEL, 0, 0.002, 0, 0.018, 0.007, 0.17, bevel=0.002), rod(_STEEL, 0, 0, 0.095, 0.02,
+          0.011), rod(_STEEL, 0, 0, -0.095, 0.022, 0.011), rod("black", 0, 0.0105, 0.095, 0.011, 0.001), hold=(0, 0.005, 0)),
+    thing("pliers", 0.25, "handle", box("steel*0.8", 0, 0.003, -0.07, 0.03, 0.012, 0.06, bevel=0.004), tuple(box("tool", s *
+          0.022, 0, 0.04, 0.014, 0.018, 0.13, bevel=0.005, turn=(0, s * 9, 0)) for s in (-1, 1)), hold=(0, 0.01, 0.05)),
+    thing("drill", 1.6, "handle", rod("tool", 0, 0.13, -0.01, 0.032, 0.16, turn=(90, 0, 0)), rod("black", 0, 0.13, -0.13,
+          0.02, 0.06, top=0.026, turn=(90, 0, 0)), rod(_STEEL, 0, 0.13, -0.19, 0.004, 0.07, turn=(90, 0, 0), n=6), box("black",
+          0, 0.05, 0.03, 0.034, 0.11, 0.045, bevel=0.01, turn=(-8, 0, 0)), box("black", 0, 0, 0.03, 0.07, 0.055, 0.1,
+          bevel=0.008), hold=(0, 0.1, 0.03)),
+    thing("paint_can", 2.5, "handle", rod(_STEEL, 0, 0, 0, 0.07, 0.16, n=16), rod("bright", 0, 0.03, 0, 0.0708, 0.1, n=16),
+          rod("steel*0.85", 0, 0.16, 0, 0.068, 0.006, n=16), arc(_STEEL, 0, 0.14, 0.074, 0, 180, 0.003, n=8),
+          hold=(0, 0.21, 0), solid="round"),
+    thing("paint_brush", 0.1, "handle", box("wood", 0, 0.002, 0.06, 0.02, 0.014, 0.11, bevel=0.005), box(_STEEL, 0, 0, -0.015,
+          0.05, 0.018, 0.04), box("fur", 0, 0.002, -0.065, 0.05, 0.014, 0.06), hold=(0, 0.01, 0.07)),
+    thing("spirit_level", 0.5, "body", box("tool", 0, 0, 0, 0.4, 0.05, 0.022, bevel=0.003), box((176, 214, 96), 0, 0.022,
+          0, 0.05, 0.018, 0.0225), aligned=True),
+    thing("tape_measure", 0.3, "body", box("tool", 0, 0, 0, 0.07, 0.065, 0.035, bevel=0.012), rod("black", 0, 0.014, 0.0,
+          0.018, 0.037, turn=(90, 0, 0)), box(_STEEL, 0.045, 0.002, 0, 0.03, 0.003, 0.02)),
+    thing("oil_can", 1.0, "handle", soft("tool", 0, 0, 0, 0.11, 0.24, 0.07, 0.015), rod("black", -0.03, 0.235, 0, 0.018,
+          0.03), box("paper", 0, 0.06, 0.0355, 0.08, 0.11, 0.001), aligned=True),
+    thing("work_gloves", 0.15, "body", soft("fur", 0, 0, 0, 0.1, 0.03, 0.2, 0.014), soft("tool", 0, 0.006, -0.09, 0.105,
+          0.03, 0.05, 0.012), soft("fur", 0.06, 0.004, 0.02, 0.05, 0.022, 0.045, 0.01)),
+    thing("bike_helmet", 0.35, "rim", lathe("bright", (0.1, 0), (0.105, 0.03), (0.09, 0.09), (0.04, 0.125), (0, 0.13), n=14,
+          stretch=(0.85, 1.15)), lathe("black", (0.104, 0.01), (0.108, 0.016), (0.104, 0.024), n=14, stretch=(0.85, 1.15)),
+          tuple(box("black", 0.035 * i, 0.108 - 0.012 * abs(i), 0.0, 0.014, 0.02, 0.12) for i in (-1, 0, 1))),
+    thing("flashlight", 0.25, "body", rod("black", -0.03, 0.007, 0, 0.016, 0.12, turn=(0, 0, 90)), rod("black", 0.055, 0.0,
+          0, 0.018, 0.05, top=0.027, turn=(0, 0, -90)), rod((250, 244, 214), 0.081, 0.0, 0, 0.022, 0.002, turn=(0, 0, 90))),
+    thing("jerrycan", 3.0, "handle", soft("tool", 0, 0, 0, 0.28, 0.3, 0.15, 0.03), rod("black", -0.09, 0.295, 0, 0.025, 0.04),
+          line("tool*0.8", 0.013, (-0.02, 0.29, 0), (-0.01, 0.335, 0), (0.09, 0.335, 0), (0.1, 0.29, 0)),
+          hold=(0.04, 0.335, 0), aligned=True),
+    thing("cable_reel", 2.0, "handle", rod("tool", 0, 0.03, -0.05, 0.12, 0.012, turn=(90, 0, 0), n=16), rod("tool", 0, 0.03,
+          0.05, 0.12, 0.012, turn=(90, 0, 0), n=16), rod((232, 120, 40), 0, 0.05, 0, 0.1, 0.09, turn=(90, 0, 0), n=14),
+          line("black", 0.008, (-0.07, 0.0, 0.06), (-0.05, 0.26, 0), (0.05, 0.26, 0), (0.07, 0.0, 0.06)), hold=(0, 0.26, 0)),
+    thing("watering_can", 0.8, "handle", rod("tool", 0, 0, 0, 0.09, 0.18, n=14), line("tool", 0.012, (0.08, 0.04, 0),
+          (0.19, 0.16, 0)), rod("tool", 0.2, 0.14, 0, 0.02, 0.03, top=0.035, turn=(0, 0, -50)), arc("tool", -0.06, 0.13,
+          0.075, 60, 260, 0.009), hold=(-0.13, 0.13, 0)),
+    thing("garden_trowel", 0.3, "handle", rod("wood", 0, 0, 0.09, 0.014, 0.12, turn=(90, 0, 0), n=8), box("steel", 0, 0.004,
+          -0.06, 0.07, 0.006, 0.13, bevel=0.002), rod(_STEEL, 0, 0.006, 0.02, 0.006, 0.04, turn=(90, 0, 0), n=6),
+          hold=(0, 0.014, 0.09)),
+    thing("dumbbell", 4.0, "body", rod(_STEEL, 0, 0.04, 0, 0.014, 0.14, turn=(0, 0, 90), n=8), tuple(rod("rubber", s * 0.1,
+          0.013, 0, 0.06, 0.065, turn=(0, 0, 90), n=6) for s in (-1, 1))),
+    thing("yoga_mat", 1.1, "body", rod("pastel", 0, 0.0, 0, 0.06, 0.6, turn=(0, 0, 90), n=14), tuple(rod("black", s * 0.18,
+          0.0, 0, 0.062, 0.02, turn=(0, 0, 90), n=14) for s in (-1, 1)), aligned=True),
+)  # fmt: skip
+
+_DECOR = (
+    thing("vase", 0.9, "body", lathe("clay", (0, 0), (0.04, 0), (0.075, 0.08), (0.06, 0.17), (0.028, 0.22), (0.038, 0.25),
+          (0.033, 0.25), (0, 0.2), n=16), solid="round"),
+    thing("flower_vase", 0.8, "body", lathe((206, 222, 226), (0, 0), (0.035, 0), (0.045, 0.06), (0.03, 0.16), (0.04, 0.18),
+          (0.036, 0.18), (0, 0.1)), tuple(line("green", 0.003, (0, 0.08, 0), (x, y, z), n=4) for x, y, z in ((0.05, 0.3,
+          0.02), (-0.045, 0.29, 0.03), (0.0, 0.34, -0.04))), tuple(ball(c, x, y, z, 0.03, 0.024, 0.03, n=8) for c, x, y, z in
+          (("flower", 0.05, 0.31, 0.02), ("flower2", -0.045, 0.3, 0.03), ("flower", 0.0, 0.35, -0.04))), leaves("green",
+          0, 0.14, 0, 6, 0.13, (0.4, 0.9), 0.014)),
+    thing("candle", 0.3, "body", lathe("ceramic", (0, 0), (0.05, 0.003), (0.052, 0.012), (0, 0.01)), rod("pastel", 0, 0.01, 0,
+          0.033, 0.09, n=12), rod("black", 0, 0.1, 0, 0.0015, 0.012, n=4), solid="round"),
+    thing("candlestick", 0.6, "body", lathe("brass", (0, 0), (0.05, 0.004), (0.014, 0.02), (0.01, 0.1), (0.018, 0.12), (0.01,
+          0.14), (0.022, 0.16), (0, 0.155)), rod("linen", 0, 0.155, 0, 0.011, 0.17, n=8), solid="round"),
+    thing("photo_frame", 0.3, "edge", box("wood", 0, 0.004, 0, 0.16, 0.2, 0.014, bevel=0.004, turn=(-12, 0, 0)), box("paper",
+          0, 0.024, 0.009, 0.125, 0.16, 0.006, turn=(-12, 0, 0)), box("pastel", 0, 0.044, 0.0115, 0.095, 0.115, 0.006, turn=
+          (-12, 0, 0)), ball("fur", 0, 0.1, 0.0155, 0.02, 0.025, 0.003, n=8), box("bright", 0, 0.048, 0.0165, 0.06, 0.035,
+          0.005, turn=(-12, 0, 0)), box("black", 0, 0.0, -0.04, 0.03, 0.12, 0.004, turn=(22, 0, 0)), aligned=True),
+    thing("sculpture", 1.5, "body", box("black", 0, 0, 0, 0.12, 0.03, 0.09, bevel=0.004), arc("brass", 0, 0.13, 0.075, 0, 330,
+          0.015, n=11), ball("brass", 0.0, 0.13, 0, 0.028, n=10), rod("brass", 0, 0.03, 0, 0.01, 0.04, n=8)),
+    thing("potted_herb", 0.5, "body", lathe("clay", (0, 0), (0.042, 0), (0.056, 0.09), (0.05, 0.09), (0, 0.08)), leaves(
+          "green", 0, 0.08, 0, 14, 0.13, (0.1, 0.8), 0.014), solid="round"),
+    thing("cactus", 0.6, "body", lathe("clay", (0, 0), (0.04, 0), (0.052, 0.08), (0.047, 0.08), (0, 0.072)), lathe("green*0.85",
+          (0.028, 0.07), (0.036, 0.11), (0.034, 0.19), (0.018, 0.225), (0, 0.23), n=9), line("green*0.85", 0.016, (0.03, 0.13,
+          0), (0.062, 0.135, 0), (0.066, 0.18, 0), n=7), solid="round"),
+    thing("succulent", 0.3, "body", lathe("clay", (0, 0), (0.035, 0), (0.045, 0.06), (0.04, 0.06), (0, 0.055)), leaves(
+          "green", 0, 0.05, 0, 16, 0.055, (0.2, 1.2), 0.014), solid="round"),
+    thing("table_lamp", 1.4, "body", lathe("clay", (0, 0), (0.05, 0), (0.07, 0.06), (0.05, 0.14), (0.018, 0.18)), rod("metal",
+          0, 0.18, 0, 0.008, 0.06, n=8), lathe("lampshade", (0.13, 0.22), (0.085, 0.38), n=18), lathe("lampshade*1.05",
+          (0.083, 0.38), (0.128, 0.22), n=18), solid="round"),
+    thing("lantern", 0.7, "handle", box("black", 0, 0, 0, 0.13, 0.014, 0.13), tuple(box("black", 0.058 * sx, 0.014, 0.058 *
+        sz, 0.01, 0.19, 0.01) for sx in (-1, 1) for sz in (-1, 1)), rod("black", 0, 0.2, 0, 0.09, 0.05, top=0.02, n=4,
+        turn=(0, 45, 0)), rod("linen", 0, 0.014, 0, 0.03, 0.1), arc("black", 0, 0.25, 0.03, 0, 180, 0.004), hold=(0, 0.28,
+        0)),
+    thing("basket", 0.6, "rim", lathe("rattan", (0, 0), (0.1, 0), (0.125, 0.07), (0.12, 0.15), (0.113, 0.15), (0.095, 0.02),
+          (0, 0.02), n=16), solid="round"),
+    thing("snow_globe", 0.5, "body", rod("wood_dark", 0, 0, 0, 0.05, 0.035, top=0.042, n=14), ball((214, 230, 238), 0, 0.075, 0,
+          0.048), solid="round"),
+    thing("jewelry_box", 0.7, "body", box("wood_dark", 0, 0, 0, 0.18, 0.07, 0.12, bevel=0.005), box("wood_dark*1.15", 0, 0.07,
+        0, 0.184, 0.025, 0.124, bevel=0.008), box("brass", 0, 0.055, 0.062, 0.022, 0.026, 0.005), aligned=True),
+)  # fmt: skip
+
+HOUSEHOLD = numbered(300, (*_BATH, *_LAUNDRY, *_CLOTHES, *_GARAGE, *_DECOR))

@@ -1,0 +1,6 @@
+"""Homes of the second generation: styles, rooms and the things that people leave about.
+
+- `looks`: eight styles; `models`: furniture of the first generation with other looks, on the same footprint; `pictures`
+- `rooms`: what is added to each kind of room, and the new kinds of rooms; `zones`: balconies
+- `habits`: tables of what lies where; `clutter`: things on furniture and on the floor
+"""
