@@ -42,8 +42,8 @@ def named_scenes(
 ) -> tuple[NamedScene, ...]:
     """The scenes that ``text`` means; the other options are for scenes of Habitat (`load_habitat_scene`).
 
-    ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``small2:3`` (second generation),
-    ``h3-homes/test`` or ``my.toml`` (all of a set),
+    ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``small2:3`` (second generation), ``small-open:3`` (furniture
+    opens), ``h3-homes/test`` or ``my.toml`` (all of a set),
     ``h3-homes/test#3`` or ``h3-homes/test#test_03`` (one of a set), or the path of a scene: GLB or one of Habitat's.
     A ``.scene_dataset_config.json`` is all its scenes, followed by ``#name`` one of them.
 
@@ -104,8 +104,7 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
 
 
 def _home(name: str, seed: int) -> NamedScene:
-    preset, generation = HOME_NAMES[name]
-    return NamedScene(name=f"{name}:{seed}", source=HomeSpec(preset=preset, seed=seed, generation=generation))
+    return NamedScene(name=f"{name}:{seed}", source=HomeSpec(seed=seed, **HOME_NAMES[name]))
 
 
 @lru_cache(maxsize=64)  # 2 MB each; episodes go round the homes, so fewer would all be made anew each time

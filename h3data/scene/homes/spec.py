@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -48,10 +48,18 @@ HOME_PRESETS: Mapping[str, HomePreset] = MappingProxyType(
 MAX_AREA_M2, MAX_BEDROOMS, MAX_BATHROOMS = 1200.0, 8, 6
 MAX_CLUTTER, MAX_DENSITY = 4.0, 12
 GENERATIONS = 2
-HOME_NAMES: Mapping[str, tuple[Preset, int]] = MappingProxyType(
-    {f"{p}{g if g > 1 else ''}": (p, g) for g in range(1, GENERATIONS + 1) for p in get_args(Preset)}
+HOME_NAMES: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        f"{preset}{generation if generation > 1 else ''}{'-open' if opens else ''}": MappingProxyType(
+            {"preset": preset, "generation": generation, "articulated": opens}
+        )
+        for opens in (False, True)
+        for generation in range(1, GENERATIONS + 1)
+        for preset in get_args(Preset)
+    }
 )
-"""Preset and generation by the name before the colon of a home such as ``small:3`` or ``small2:3``."""
+"""Options of `HomeSpec` by the name before the colon of a home: ``small:3``, ``small2:3`` is of the second generation, in
+``small-open:3`` and ``small2-open:3`` furniture opens."""
 
 
 def min_area_m2(bedrooms: int, bathrooms: int) -> float:

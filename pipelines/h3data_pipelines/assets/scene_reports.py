@@ -47,12 +47,13 @@ def presets_and_sets() -> Outcome:
     presets = [
         {
             "preset": name,
-            "area_m2": HOME_PRESETS[preset].area_m2,
-            "bedrooms": HOME_PRESETS[preset].bedrooms,
-            "bathrooms": HOME_PRESETS[preset].bathrooms,
+            "area_m2": HOME_PRESETS[options["preset"]].area_m2,
+            "bedrooms": HOME_PRESETS[options["preset"]].bedrooms,
+            "bathrooms": HOME_PRESETS[options["preset"]].bathrooms,
             "seeds": "0, 1, 2, ...",
         }
-        for name, (preset, _) in HOME_NAMES.items()
+        for name, options in HOME_NAMES.items()
+        if not options["articulated"]
     ]
     scene_sets = [find_scene_set(f"{name}/{split}") for name, splits in builtin_sets().items() for split in splits]
     sets = [
@@ -71,7 +72,8 @@ def presets_and_sets() -> Outcome:
         text_table(
             ("preset", "floor m2", "bedrooms", "bathrooms", "seeds"), [[cell(v) for v in r.values()] for r in presets]
         ),
-        "Name a home as preset:seed, e.g. small:3, with any seed from 0; small2:3 is one of the second generation.",
+        "Name a home as preset:seed, e.g. small:3, with any seed from 0; small2:3 is one of the second generation, and in "
+        "small-open:3 furniture opens.",
         text_table(
             ("set", "scenes", "episodes each", "episodes", "spawn distance m", "about"),
             [[cell(v) for v in r.values()] for r in sets],
