@@ -228,7 +228,7 @@ class PersonActor:
         assert self.openables is not None
         leading = Leading(self.openables, k, opens=opens)
         stand = np.append(self.xz, self.heading)
-        reached = [hand for hand in HANDS if self._reaches(stand, leading.handles[0], hand)]
+        reached: list[Hand] = [hand for hand in HANDS if self._reaches(stand, leading.handles[0], hand)]
         motion = self._careful(self.person.lead(leading.handles, leading.advance, (reached or [HANDS[0]])[0]))
         self.yields = False
         while True:

@@ -92,7 +92,9 @@ def articulation_of(
                 encloses=_enclosed(joint, moved[k], everything, assets, back, body),
             )
         )
-    return Articulation(name=name, pose=pose_from_matrix(root), parts=tuple(parts), base=still), warnings
+    return Articulation(
+        name=name, pose=np.asarray(pose_from_matrix(root), np.float64), parts=tuple(parts), base=still
+    ), warnings
 
 
 def _movers(robot: Robot, joints: Mapping[int, Joint]) -> list[int]:

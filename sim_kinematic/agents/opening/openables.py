@@ -177,7 +177,7 @@ class Openables:
         positions[:, k] = way
         motions = self.joints.motions(positions)
         out = [transform_points(motion, self._samples[j]) for j in self._carried(k) for motion in motions[:, j]]
-        every = np.concatenate([np.zeros((0, 3)), *out])
+        every = np.concatenate([np.zeros((0, 3)), *out]).astype(np.float64)
         return every[every[:, 1] < self.floor_y + TALL_M]
 
     @cached_property
@@ -186,13 +186,13 @@ class Openables:
         grid = np.array([p for p in product(np.linspace(0, 1, SAMPLES), repeat=3) if min(p) == 0 or max(p) == 1])
         found = []
         for own in self._instances:
-            points = [np.zeros((0, 3))]
+            points: list[Array] = [np.zeros((0, 3))]
             for instance in own:
                 matrix = pose_to_matrix(np.asarray(instance.pose, np.float64))
                 for shape in self.scene.assets[instance.asset].shapes:
                     low, high = shape_bounds(shape, np.eye(4))
                     points.append(transform_points(matrix, (low + grid * (high - low)) * instance.scale))
-            found.append(np.concatenate(points))
+            found.append(np.concatenate(points).astype(np.float64))
         return found
 
     def open_points(self) -> NDArray[np.float64]:
@@ -265,7 +265,7 @@ def stands_clear(stands: Array, points: Array, offsets: Sequence[float], radius_
 def _covered(points: Array, discs: Array) -> NDArray[np.bool_]:
     """Which points [P, 2] are in one of some discs ``(x, z, radius)`` [N, 3]."""
     gap = np.hypot(points[:, None, 0] - discs[:, 0], points[:, None, 1] - discs[:, 1])
-    return (gap < np.maximum(discs[:, 2] - PASSES_M, 0.0)).any(1)
+    return np.any(gap < np.maximum(discs[:, 2] - PASSES_M, 0.0), axis=1)
 
 
 def _shrunk(shape: Shape) -> Shape:

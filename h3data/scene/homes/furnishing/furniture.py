@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from h3data.geometry import IDENTITY_POSE
 from h3data.scene.homes.solids import Color, MeshBuilder, vary
@@ -83,21 +84,21 @@ def _upright_box(shape: Shape) -> BaseGeometry | None:
 Maker = Callable[[np.random.Generator, Style], Furniture]
 
 
-def box_part(center: Sequence[float], size: Sequence[float]) -> Box:
+def box_part(center: ArrayLike, size: ArrayLike) -> Box:
     """Collision box by its centre and full size."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Box(pose=pose, half_extents=np.asarray(size, float) / 2)
 
 
-def cylinder_part(center: Sequence[float], radius: float, height: float) -> Cylinder:
+def cylinder_part(center: ArrayLike, radius: float, height: float) -> Cylinder:
     """Upright collision cylinder by its centre."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Cylinder(pose=pose, radius=radius, half_height=height / 2)
 
 
-def surface(name: str, center: Sequence[float], size: Sequence[float], clearance: float) -> Receptacle:
+def surface(name: str, center: ArrayLike, size: ArrayLike, clearance: float) -> Receptacle:
     """Receptacle by the centre of its surface, the full size along x and z, and the free height above it."""
     return Receptacle(
         name=name, center=np.asarray(center, float), half_size=np.asarray(size, float) / 2, clearance_m=clearance

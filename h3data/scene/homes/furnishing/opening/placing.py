@@ -105,6 +105,6 @@ def carrying(
         inside = np.zeros(len(objects), np.bool_)
         for name in part.instances:
             inside |= rests_on(by_name[name], assets[by_name[name].asset], feet)
-        return replace(part, instances=(*part.instances, *(objects[k].name for k in np.flatnonzero(inside))))
+        return replace(part, instances=(*part.instances, *(objects[k].name for k in np.flatnonzero(inside).tolist())))
 
     return tuple(replace(thing, parts=tuple(map(loaded, thing.parts))) for thing in things)
