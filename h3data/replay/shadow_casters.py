@@ -63,5 +63,5 @@ def moved(capsules: NDArray[np.float64], matrices: NDArray[np.float64]) -> NDArr
     """Capsules [N, 7] under matrices [N, 4, 4]; their radii scale like the cube root of the volume."""
     linear, origin = matrices[:, :3, :3], matrices[:, :3, 3]
     ends = [(linear @ capsules[:, k : k + 3, None])[..., 0] + origin for k in (0, 3)]
-    size = np.cbrt(np.abs(np.linalg.det(linear)))
+    size = np.cbrt(np.abs(np.linalg.det(np.nan_to_num(linear))))  # of bodies that are absent the ends are NaN
     return np.column_stack([*ends, capsules[:, 6] * size])

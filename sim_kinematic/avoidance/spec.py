@@ -43,10 +43,10 @@ class AvoidanceSpec:
 
     # --- a robot's base chooses its next velocity ------------------------------------------------------------------------
     accel_mps2: float = 5.0
-    """Robots set off, and brake before their goal, at this rate: full speed takes half a second. Without these limits they
-    jumped by 0.5 m/s or more between two steps 130 times a minute where people and robots wander, now 18 times."""
+    """Robots set off, and brake before their goal, at this rate: full speed takes half a second. Where they have to keep clear
+    of somebody, they do so at once."""
     brake_mps2: float = 12.0
-    """They brake at this rate where they must."""
+    """They brake at this rate where a path turns sharply."""
     turn_accel_rad_s2: float = 12.0
     """They begin to turn, and stop turning, at this rate."""
     corner_mps: float = 1.2
@@ -77,7 +77,7 @@ class AvoidanceSpec:
     """Metres of path that a radian of heading error is worth."""
     turn_weight_m: float = 0.02
     """Cost of a full turn command: of equal commands the calmest wins."""
-    change_weight_m: float = 0.3
+    change_weight_m: float = 0.15
     """Cost of a change of either command by its limit, so that a robot does not waver between two ways past somebody."""
     wall_tolerance_m: float = 2e-3
     """In trials a base disc may come this much nearer to an obstacle than its radius, so that a base that touches a wall can

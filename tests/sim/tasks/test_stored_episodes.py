@@ -263,10 +263,11 @@ def test_habitats_own_episodes_say_no_starts(tmp_path: Path, capsys: pytest.Capt
 
 def test_lists_of_sets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = run_json(capsys, "scenes", "list")
+    episodes = {"train": 37_000, "val": 1200, "test": 150}
     assert {s["set"]: s["episodes"] for s in data["sets"]} == {
-        "h3-homes/train": 37_000, "h3-homes/val": 1200, "h3-homes/test": 150,
-    }  # fmt: skip
-    assert [p["preset"] for p in data["presets"]] == ["small", "medium", "large"]
+        f"{name}/{split}": count for name in ("h3-homes", "h3-homes-v2") for split, count in episodes.items()
+    }
+    assert [p["preset"] for p in data["presets"]] == ["small", "medium", "large", "small2", "medium2", "large2"]
     file = tmp_path / "two.toml"
     file.write_text(SET_TEXT)
     rows = run_json(capsys, "scenes", "list", file)["scenes"]
