@@ -363,7 +363,7 @@ class RobotActor:
                 if (yield from self._maneuver(goal, bearing)):
                     best, since, via, is_near = np.inf, 0, NO_PATH, self._leg(goal)[0] <= NEARLY_M
                     continue
-            if since in AVOIDANCE.detour_after_steps and detours < AVOIDANCE.detours and self._seen():
+            if since in AVOIDANCE.detour_after_steps and detours < AVOIDANCE.detours and self._looks_around:
                 detour = self._detour(goal)
                 if detour is not None:
                     via, best, detours = detour[:-1], np.inf, detours + 1
@@ -386,6 +386,11 @@ class RobotActor:
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return Ending("failed", "stuck")
+
+    @property
+    def _looks_around(self) -> bool:
+        """Whether somebody may be in its path: a base that maneuvers thinks of those alone who are near."""
+        return bool(self._seen() if self.base.maneuvers else self.others)
 
     def _maneuver(self, goal: NDArray, bearing: float | None = None) -> Generator[None, None, bool]:
         """Gets on towards a floor point [2] where it is stuck; returns whether it did all of a maneuver, if it found one."""
@@ -461,10 +466,10 @@ class RobotActor:
 
     def _turn(self, error: float) -> float:
         """The command that removes a heading error [rad] in one step, if the limit allows and there is no need to brake."""
-        most = self.base.max_turn_rad_s
+        most, limit = 1.0, self.base.max_turn_rad_s
         if self.base.maneuvers:
-            most = min(most, braking_speed(AVOIDANCE.turn_accel_rad_s2, abs(error)))
-        return min(max(error / STEP_S, -most), most) / self.base.max_turn_rad_s
+            most = min(most, braking_speed(AVOIDANCE.turn_accel_rad_s2, abs(error)) / limit)
+        return min(max(error / (limit * STEP_S), -most), most)
 
     def _leg(self, goal: NDArray) -> tuple[float, NDArray]:
         """Length of the path to a floor point [2] [m], and where to drive first; infinity and the point where there is none."""
@@ -593,9 +598,8 @@ class RobotActor:
         if self.avoids and avoid:
             aim = self.xz if towards is None else towards
             others = avoided(self._seen(), agreed=self.agreed)
-            self._target = keep_clear(
-                self.free, self.base, self.xz, self.heading, self.command, aim, others, self._target
-            )
+            target = self._target if self.base.maneuvers else None
+            self._target = keep_clear(self.free, self.base, self.xz, self.heading, self.command, aim, others, target)
             # what keeps it clear of somebody is done at once: eased, it came 12 cm nearer to a person than it wanted
             in_nobodys_way = self._target == self.command
             eases = eases and in_nobodys_way and self.base.maneuvers
@@ -610,7 +614,9 @@ class RobotActor:
             self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + missing * (most / far)
         )
         if self.meets():
-            state.xz[:], state.heading[:], self.command = xz, heading, (0.0, 0.0)
+            state.xz[:], state.heading[:] = xz, heading
+            if self.base.maneuvers:  # it speeds up from rest
+                self.command = 0.0, 0.0
             if self.meets():
                 state.joints[:] = joints
         k = self.objects.held(self.number)

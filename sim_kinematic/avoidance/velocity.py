@@ -90,12 +90,12 @@ class Avoided(NamedTuple):
 
 def keep_clear(
     free: FreeSpace, base: BaseSpec, xz: NDArray, heading: float, wanted: tuple[float, float], towards: NDArray,
-    others: Sequence[Avoided], before: tuple[float, float] = (0.0, 0.0),
+    others: Sequence[Avoided], before: tuple[float, float] | None = None,
 ) -> tuple[float, float]:  # fmt: skip
     """Returns the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
 
     That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
-    most, then the path to ``towards`` [2], then what differs little from the last command, ``before``.
+    most, then the path to ``towards`` [2], then what differs little from the command ``before``, if that counts.
     """
     spec, (here_x, here_z), (goal_x, goal_z) = AVOIDANCE, xz.tolist(), towards.tolist()
     places = [other.xz.tolist() for other in others]
@@ -133,16 +133,16 @@ def keep_clear(
     if all(gap >= margin for (gap, *_), margin in zip(gaps, margins, strict=True)):
         return wanted
     best, least = wanted, math.inf
-    candidates = np.vstack([_CANDIDATES, before])
+    candidates = _CANDIDATES if before is None else np.vstack([_CANDIDATES, before])
     for (forward, turn), tried in zip(candidates.tolist(), trials(candidates), strict=True):
         lacks = max(margin - gap for margin, (gap, *_) in zip(margins, tried, strict=True))
         _, x, z, new_heading = tried[0]
         left = math.hypot(x - goal_x, z - goal_z)
         off = abs(wrap_angle(math.atan2(z - goal_z, goal_x - x) - new_heading)) if left > 0.1 else 0.0
         cost = spec.gap_weight * max(lacks, 0.0) + left + spec.heading_weight_m * off
-        cost += spec.turn_weight_m * abs(turn) + spec.change_weight_m * (
-            abs(turn - before[1]) + abs(forward - before[0])
-        )
+        cost += spec.turn_weight_m * abs(turn)
+        if before is not None:
+            cost += spec.change_weight_m * (abs(turn - before[1]) + abs(forward - before[0]))
         if cost < least:
             best, least = (forward, turn), cost
     return best
