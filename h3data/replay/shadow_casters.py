@@ -28,7 +28,7 @@ class ShadowCasters:
     def blockers(
         self, rigid: Sequence[tuple[NDArray[np.intp], Array]], world: Mapping[int, NDArray[np.floating]]
     ) -> Blockers:
-        """What blocks light at one moment.
+        """Blockers of light at one moment.
 
         Args:
             rigid: Instances [n] and their matrices [n, 4, 4], NaN where absent.

@@ -515,12 +515,12 @@ class RobotActor:
         """pose7 of the hand, in the agent root frame, for a pick or a place."""
         k = action.target
         there = self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k]
-        local = pose_multiply(pose_inverse(self.pose), np.append(there, [0, 0, 0, 1.0]))
+        hand = self._hand_at(there)
         if action.skill == "pick":
-            return np.concatenate([local[:3], hand_turn(self.robot)])
+            return hand
         grip = self.objects.state.grip_pose[0, k]
         turned = pose_multiply(np.append(np.zeros(3), hand_turn(self.robot)), grip)
-        return np.concatenate([local[:3] - turned[:3], hand_turn(self.robot)])
+        return np.concatenate([hand[:3] - turned[:3], hand[3:]])
 
     def _hand_at(self, point: NDArray) -> Array:
         """pose7 of the hand, in the agent root frame, with what it holds things at on a world point [3]."""

@@ -35,7 +35,7 @@ _ARRAYS = ("vertices", "faces", "colors", "normals", "uv", "face_textures")
 
 
 class Baked(NamedTuple):
-    """What is baked for a home."""
+    """Baked light of a home."""
 
     meshes: list[Mesh]
     """The static meshes with their light."""

@@ -19,7 +19,7 @@ Colors = Sequence[tuple[int, int, int]]
 
 @dataclass(frozen=True, kw_only=True)
 class Palette:
-    """What a style is made of."""
+    """Materials and colours of a style."""
 
     paints: Colors
     feature: tuple[str, Colors]
