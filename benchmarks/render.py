@@ -230,10 +230,10 @@ def cpu_ms(work: Callable[[], object], *, per: int = 1, rounds: int = 7) -> floa
     return median(times) * 1e3 / per
 
 
-def frame_ms(renderer: Renderer, cameras: list[Camera], *, outputs: tuple, samples: int = 1) -> float:
+def frame_ms(renderer: Renderer, cameras: list[Camera], *, outputs: tuple, samples: int = 1, world: int = 0) -> float:
     def work() -> None:
         for camera in cameras:
-            renderer.render(camera, outputs=outputs, samples=samples)  # type: ignore[arg-type]
+            renderer.render(camera, outputs=outputs, samples=samples, world=world)  # type: ignore[arg-type]
 
     return cpu_ms(work, per=len(cameras))
 

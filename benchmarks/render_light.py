@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,9 +18,9 @@ from benchmarks.render import cpu_seconds, frame_ms
 from h3data.bodies import load_humanoid, load_robot
 from h3data.geometry import ground_pose
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene
+from h3data.render.gpu import gpu_problem
 from h3data.render.light.bake import LitScene, lit_scene
 from h3data.render.light.sources import sources_of
-from h3data.render.shade.blockers import Blockers
 from h3data.render.sheets.scene_map import eye_level_camera, render_scene
 from h3data.replay.shadow_casters import shadow_casters
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
@@ -56,50 +57,85 @@ def run(emit: Emit) -> None:
 
 
 def _with_agents(emit: Emit, preset: str, flat: RenderScene, lit: LitScene, cameras: list[Camera]) -> None:
-    """A person and a robot before each camera: RGB in flat light, in baked light with their shadows, and without them."""
+    """A person and a robot before each camera, each camera in a world of its own: RGB in flat light, in baked light with
+    their shadows, and without them; on a GPU, where there is one, 48 pictures at once."""
     assert lit.field is not None
-    person, robot = load_humanoid("female_0"), load_robot("quad_arm")
-    links = [number for number, link in enumerate(robot.links) if link.mesh is not None]
-    body, first = len(lit.meshes), len(lit.instances)
-    more = [person.lod_mesh, *(robot.links[n].mesh for n in links)]
-    numbers = first + 1 + np.arange(len(links))
-    own = [RenderInstance(body + k, np.eye(4)) for k in range(len(more))]
-    meshes, instances = [*lit.meshes, *more], [*lit.instances, *own]
-    casters = shadow_casters(lit.field, meshes, instances, {first: 0} | dict.fromkeys(numbers.tolist(), 1))
-    shadowed = Renderer(RenderScene(meshes, instances, deformable=[body], mirrors=lit.mirrors), light=lit.light)
-    own = [RenderInstance(len(flat.meshes) + k, np.eye(4)) for k in range(len(more))]
-    plain = Renderer(
-        RenderScene([*flat.meshes, *more], [*flat.instances, *own], deformable=[len(flat.meshes)]), light=Light()
+    agents = _Agents(cameras)
+    shadowed, first = agents.beside(lit.meshes, lit.instances, mirrors=lit.mirrors)
+    plain, first_plain = agents.beside(flat.meshes, flat.instances)
+    numbers = first + 1 + np.arange(len(agents.links))
+    casters = shadow_casters(
+        lit.field, shadowed.meshes, shadowed.instances, {first: 0} | dict.fromkeys(numbers.tolist(), 1)
     )
-    times = []
-    for camera in cameras:
-        ahead, right = camera.pose[[0, 2], 2], camera.pose[[0, 2], 0]
-        places = [camera.pose[[0, 2], 3] + 2.8 * ahead + side * right for side in (-0.7, 0.7)]
-        poses = [ground_pose(np.array([place]), np.array([1.0])) for place in places]
-        joints = person.joint_matrices(poses[0], *person.walk_pose(np.array([1.2]), np.array([0.3])))
-        frames, ends = robot.link_matrices(poses[1], robot.rest[None])[0, links], person.capsules_world(joints)
-        for renderer, mesh, number in ((shadowed, body, first), (plain, len(flat.meshes), len(flat.instances))):
-            renderer.set_vertices(mesh, person.skin(joints)[0])
-            renderer.set_transforms(numbers - first + number, frames)
-        of_person = np.column_stack([ends[0][0], ends[1][0], ends[2]])
+    dark = [casters.blockers([(numbers, frames)], {first: capsules}) for frames, capsules in agents.placed]
+    start, rounds = cpu_seconds(), 50
+    for frames, capsules in agents.placed * rounds:
+        casters.blockers([(numbers, frames)], {first: capsules})
+    posing = (cpu_seconds() - start) * 1e3 / rounds / len(cameras)
+    for backend in ("cpu", *([] if gpu_problem() else ["gpu"])):
+        lit_renderer = agents.renderer(shadowed, first, lit.light, backend)
+        times = [
+            _batch_ms(agents.renderer(plain, first_plain, Light(), backend), cameras),
+            _batch_ms(lit_renderer, cameras),
+        ]
+        for world, blockers in enumerate(dark):
+            lit_renderer.set_blockers(blockers, world=world)
+        flat_ms, bare_ms, shadows_ms = *times, _batch_ms(lit_renderer, cameras) + (posing if backend == "cpu" else 0)
+        name = f"render.light.{preset}_agents" if backend == "cpu" else f"render.light.gpu.{preset}_agents"
+        emit(f"{name}_rgb_640x480_{'cpu_' if backend == 'cpu' else ''}ms", shadows_ms, "ms")
+        emit(f"{name}_rgb_640x480_over_flat", shadows_ms / flat_ms, "x")
+        emit(f"{name}_shadows_{'cpu_' if backend == 'cpu' else ''}ms", shadows_ms - bare_ms, "ms")
 
-        def blockers(frames: Any = frames, of_person: Any = of_person) -> Blockers:
-            return casters.blockers([(numbers, frames)], {first: of_person})
 
-        start, rounds = cpu_seconds(), 50
-        for _ in range(rounds):
-            blockers()
-        posing = (cpu_seconds() - start) * 1e3 / rounds
-        shadowed.set_blockers(blockers())
-        with_shadows = frame_ms(shadowed, [camera], outputs=("rgb",)) + posing
-        shadowed.set_blockers(None)
-        times.append(
-            (frame_ms(plain, [camera], outputs=("rgb",)), frame_ms(shadowed, [camera], outputs=("rgb",)), with_shadows)
+class _Agents:
+    """A person and a robot side by side, 2.8 m before each of some cameras."""
+
+    def __init__(self, cameras: list[Camera]) -> None:
+        self.person, self.robot = load_humanoid("female_0"), load_robot("quad_arm")
+        self.links = [number for number, link in enumerate(self.robot.links) if link.mesh is not None]
+        self.skins: list[Any] = []
+        self.placed: list[tuple[Any, Any]] = []
+        """Poses of the robot's links [L, 4, 4] and capsules of the person [C, 7], for each camera."""
+        for camera in cameras:
+            ahead, right = camera.pose[[0, 2], 2], camera.pose[[0, 2], 0]
+            places = [camera.pose[[0, 2], 3] + 2.8 * ahead + side * right for side in (-0.7, 0.7)]
+            poses = [ground_pose(np.array([place]), np.array([1.0])) for place in places]
+            joints = self.person.joint_matrices(poses[0], *self.person.walk_pose(np.array([1.2]), np.array([0.3])))
+            frames, ends = self.robot.link_matrices(poses[1], self.robot.rest[None]), self.person.capsules_world(joints)
+            self.skins.append(self.person.skin(joints)[0])
+            self.placed.append((frames[0, self.links], np.column_stack([ends[0][0], ends[1][0], ends[2]])))
+
+    def beside(self, meshes: Any, instances: Any, **options: Any) -> tuple[RenderScene, int]:
+        """A scene with the two in it, and the number of the person's instance, which those of the robot follow."""
+        more = [self.person.lod_mesh, *(self.robot.links[n].mesh for n in self.links)]
+        own = [RenderInstance(len(meshes) + k, np.eye(4)) for k in range(len(more))]
+        return RenderScene([*meshes, *more], [*instances, *own], deformable=[len(meshes)], **options), len(instances)
+
+    def renderer(self, scene: RenderScene, first: int, light: Light, backend: Any) -> Renderer:
+        renderer = Renderer(scene, light=light, backend=backend, worlds=len(self.placed))
+        for world, (frames, _) in enumerate(self.placed):
+            renderer.set_vertices(scene.deformable[0], self.skins[world], world=world)
+            renderer.set_transforms(first + 1 + np.arange(len(self.links)), frames, world=world)
+        return renderer
+
+
+def _batch_ms(renderer: Renderer, cameras: list[Camera]) -> float:
+    """Milliseconds a picture: CPU time of one at a time, or on a GPU wall-clock time of 48 at once."""
+    worlds = list(range(len(cameras)))
+    if renderer.backend == "cpu":
+        return float(
+            np.mean([frame_ms(renderer, [camera], outputs=("rgb",), world=k) for k, camera in enumerate(cameras)])
         )
-    flat_ms, bare_ms, shadows_ms = np.mean(times, axis=0)
-    emit(f"render.light.{preset}_agents_rgb_640x480_cpu_ms", float(shadows_ms), "ms")
-    emit(f"render.light.{preset}_agents_rgb_640x480_over_flat", float(shadows_ms / flat_ms), "x")
-    emit(f"render.light.{preset}_agents_shadows_cpu_ms", float(shadows_ms - bare_ms), "ms")
+    import torch
+
+    many, of = cameras * (48 // len(cameras)), worlds * (48 // len(cameras))
+    times = []
+    for _ in range(40):
+        start = time.perf_counter()
+        renderer.render_batch(many, worlds=of, outputs=("rgb",))
+        torch.cuda.synchronize()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times[10:])) * 1e3 / len(many)
 
 
 def _home(preset: str) -> tuple[Scene, list[Camera]]:
