@@ -102,7 +102,8 @@ class HybridEngine(CpuEngine):
         fine = 2 if samples == 4 else 1
         view, target = self._draw(camera, world, targets, fine=fine)
         shaded, dark = results["rgb"], np.zeros((*size, 3), np.uint8)
-        self._shade(world, view, target, rgb=dark, samples=samples, light=replace(self.light, sun=(0.0, 0.0, 0.0)))
+        patches = self.scene.patches if samples == 4 else None
+        self._shade(world, view, target, rgb=dark, patches=patches, light=replace(self.light, sun=(0.0, 0.0, 0.0)))
         start, directions = camera.rays()
         points = (start + directions * more["depth"][..., None]) @ camera.pose[:3, :3].T + camera.pose[:3, 3]
         caster = self._caster(world, camera.hidden_layers)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.render.raster.clusters import Clusters, build_clusters, enclosing_box, normal_groups
 from h3data.render.raster.raster import Geometry
 from h3data.render.shade.cutouts import cut_out_faces, pack_cutouts
+from h3data.render.shade.patches import smooth_patches
 from h3data.render.shade.shading_simd import MIRROR_SIDES
 from h3data.render.shade.surface import Surface
 from h3data.render.shade.textures import pack_textures
@@ -131,6 +133,11 @@ class RenderScene:
     def cluster_range(self, mesh: int) -> slice:
         """Range of a mesh's clusters."""
         return slice(int(self.geometry.mesh_first[mesh]), int(self.geometry.mesh_first[mesh + 1]))
+
+    @cached_property
+    def patches(self) -> NDArray[np.int32]:
+        """Smooth patch of each triangle, for all meshes one after another, shape [F]."""
+        return smooth_patches(self.surface, [mesh.vertices for mesh in self.meshes], self.first_face)
 
     @property
     def triangle_count(self) -> int:

@@ -388,10 +388,20 @@ extern "C" __global__ void __launch_bounds__(256, 3) shade(Shade f) {
         mixed = word != f.words[fine + 1] || word != f.words[fine + s.width] || word != f.words[fine + s.width + 1];
     int world = s.world_of_view[view], level[3] = {0, 0, 0};
     for (int k = 0; k < (mixed ? 4 : 1); k++) {
-        u32 at = fine + (k & 1) + (k >> 1) * s.width;
-        float middle = mixed ? 0.5f : 0.5f * factor;
-        Ray ray = ray_at(camera, s.scale, pixel_at_1, x * factor + (k & 1) + middle, y * factor + (k >> 1) + middle);
-        u32 seen = f.words[at];
+        u32 at = fine + (k & 1) + (k >> 1) * s.width, seen = f.words[at];
+        float2 middle = make_float2(0.5f * factor, 0.5f * factor);
+        int alike = 1;
+        if (mixed) {  // samples of one triangle are shaded once, in their middle
+            int first = 4, right = 0, down = 0;
+            alike = 0;
+            for (int j = 0; j < 4; j++) {
+                if (f.words[fine + (j & 1) + (j >> 1) * s.width] != seen) continue;
+                first = min(first, j), alike++, right += j & 1, down += j >> 1;
+            }
+            if (first < k) continue;
+            middle = make_float2(0.5f + (float)right / alike, 0.5f + (float)down / alike);
+        }
+        Ray ray = ray_at(camera, s.scale, pixel_at_1, x * factor + middle.x, y * factor + middle.y);
         Surface surface = {make_float3(0, 0, 0), make_float3(0, 0, 0), 0.f, 0.f};
         if (seen != NOTHING)
             surface = shade_hit(f, view, seen, ray, pixel_at_1);
@@ -418,7 +428,7 @@ extern "C" __global__ void __launch_bounds__(256, 3) shade(Shade f) {
             if (surface.share > 0.f)
                 own = (int)clamp(own * (1.f - surface.share) + surface.mirrored * surface.share * levels_per_light, 0.f,
                                  TONE_SIZE - 1.f);
-            level[a] += (int)((int)((mixed ? min(own, BRIGHTEST_SAMPLE) : own) * left) * unshadowed);
+            level[a] += (int)((int)((mixed ? min(own, BRIGHTEST_SAMPLE) : own) * left) * unshadowed) * alike;
         }
     }
     if (f.rgb)

@@ -97,7 +97,7 @@ class CpuEngine:
             self._read(world, view, target, results, rgb=samples == 1)
         if samples == 4 and "rgb" in results:
             view, target = self._draw(camera, world, targets, fine=2)
-            self._shade(world, view, target, rgb=results["rgb"], samples=4)
+            self._shade(world, view, target, rgb=results["rgb"], patches=self.scene.patches)
 
     def _draw(self, camera: Camera, world: World, targets: Targets, *, fine: int = 1) -> tuple[View, Target]:
         view, scene = view_of(camera, fine=fine), self.scene
@@ -139,7 +139,7 @@ class CpuEngine:
         *,
         rgb: NDArray[np.uint8] | None = None,
         normal: NDArray[np.float32] | None = None,
-        samples: int = 1,
+        patches: NDArray[np.int32] | None = None,
         light: Light | None = None,
     ) -> None:
         placement = Placement(self.scene.instance_mesh, world.matrix, world.visible)
@@ -152,8 +152,8 @@ class CpuEngine:
             light or self.light,
             rgb,
             normal,
-            samples,
             world.blockers,
+            patches,
         )
 
 

@@ -1,4 +1,4 @@
-"""RGB and normals from the visibility buffer, shaded once per pixel (four times at edges with ``samples=4``).
+"""RGB and normals from the visibility buffer, shaded once per pixel (at visible edges, with ``samples=4``, once per triangle).
 
 Colours are linear inside. Light comes from a hemisphere (sky above, floor below), one sun, a weak fill light and a
 headlight; corners and contacts are darkened (`occlusion`); cast shadows are optional (`Light.shadow_rays`). Surfaces are
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
-from h3data.render.raster.raster import FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
+from h3data.render.raster.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
 from h3data.render.shade.blockers import NO_BLOCKERS, TILE_X, TILE_Y, Blockers, block_pixels, owner_of, set_rays, tiled
 from h3data.render.shade.blockers_simd import RAY_WORDS, SCRATCH_ROWS
 from h3data.render.shade.borrowed import borrowed
@@ -85,7 +85,9 @@ class Light:
 
 _SHOULDER = 0.75
 _MIXED = np.int32(-2)
-"""Marks pixels whose four samples differ, in a row of words."""
+"""Marks pixels whose four samples show an edge, in a row of words."""
+_SMOOTH_DEPTH = np.float32(0.01)
+"""Samples of one patch whose depths differ by less than this share show one surface, not a fold before itself."""
 _BRIGHTEST_SAMPLE = int(1.25 * TONE_SIZE / TONE_LIMIT)
 """Samples are clipped to this level before averaging; otherwise one bright sample would erode an edge."""
 
@@ -122,15 +124,16 @@ def shade(
     light: Light,
     rgb: NDArray[np.uint8] | None,
     normal: NDArray[np.float32] | None,
-    samples: int,
     blockers: Blockers | None = None,
+    patches: NDArray[np.int32] | None = None,
 ) -> None:
     """Fills ``rgb`` [H, W, 3] and ``normal`` [H, W, 3], where given, from a rendered target.
 
     ``blockers`` keep light from ``rgb``.
-    With ``samples=4``, target and view have twice the size of ``rgb``, and pixels whose four samples see different
-    triangles are averaged in linear light.
+    With ``patches`` [F] (`patches.smooth_patches`), target and view have twice the size of ``rgb``: pixels whose four
+    samples see different patches, or a patch before itself, are averaged in linear light, all others shaded once.
     """
+    samples = 1 if patches is None else 4
     no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)
     strength = light.occlusion if rgb is not None else 0.0
     cast = NO_BLOCKERS if rgb is None else tiled(blockers, view, target, factor=2 if samples == 4 else 1)
@@ -151,13 +154,28 @@ def shade(
         cast,
         no_rgb if rgb is None else rgb,
         no_normal if normal is None else normal,
+        np.zeros(0, np.int32) if patches is None else patches,
         samples == 4,
     )
 
 
 @kernel(error_model="numpy", boundscheck=False)
 def _shade_image(
-    geometry, surface, matrices, view, target, cache, light, tables, occlusion, strength, cast, rgb, normal, fine
+    geometry,
+    surface,
+    matrices,
+    view,
+    target,
+    cache,
+    light,
+    tables,
+    occlusion,
+    strength,
+    cast,
+    rgb,
+    normal,
+    patches,
+    fine,
 ):
     geometry, surface, target = borrowed(geometry), borrowed(surface), borrowed(target)
     cache, occlusion, cast = borrowed(cache), borrowed(occlusion), borrowed(cast)
@@ -185,7 +203,11 @@ def _shade_image(
     pixel = (factor / fx, factor / fy)
     tiles_across = -(-width // TILE_X)
     for y in range(height):
-        _row_words(words, y, fine, row)
+        if fine:
+            _fine_row_words(geometry, surface, target, patches, y, row)
+        else:
+            for x in range(width):  # by element: to copy slices, numba compiles an error text for 2 s
+                row[x] = words[y, x]
         tile_row = y // TILE_Y * tiles_across
         blocked = len(cast.first) > 0 and cast.first[tile_row] < cast.first[tile_row + tiles_across]
         v = ((y + 0.5) * factor - cy) / fy
@@ -197,8 +219,15 @@ def _shade_image(
                 strip[:3, x] = 0
                 for k in range(4):
                     sx, sy = 2 * x + (k & 1), 2 * y + (k >> 1)
-                    u1, v1 = (sx + 0.5 - cx) / fx, (sy + 0.5 - cy) / fy
                     word = words[sy, sx]
+                    first, alike, right, down = 4, 0, 0, 0
+                    for j in range(4):
+                        if words[2 * y + (j >> 1), 2 * x + (j & 1)] == word:
+                            first, alike, right, down = min(first, j), alike + 1, right + (j & 1), down + (j >> 1)
+                    if first < k:
+                        continue  # samples of one triangle are shaded once, in their middle
+                    u1 = (2 * x + right / alike + 0.5 - cx) / fx
+                    v1 = (2 * y + down / alike + 0.5 - cy) / fy
                     if word >= 0:
                         slot = slot_of(word)
                         if triangles[slot] != word:
@@ -216,7 +245,7 @@ def _shade_image(
                         set_rays(rays, view, axes, u1, v1, 0.0)
                         block_pixels(cast, tile, rays, near_at, owners_at, owners[0], sample_at, sample_bytes, scratch)
                     for a in range(3):
-                        strip[a, x] += sample[a, 0]
+                        strip[a, x] += sample[a, 0] * alike
                 for a in range(3):
                     strip[a, x] >>= 2
             else:
@@ -266,17 +295,36 @@ def _shade_image(
 
 
 @kernel_part()
-def _row_words(words, y, fine, row):
-    """Fills the words of an image row [W]; `_MIXED` where the four samples of a pixel differ."""
-    if not fine:
-        for x in range(len(row)):  # by element: to copy slices, numba compiles an error text for 2 s
-            row[x] = words[y, x]
-        return
-    upper, lower = words[2 * y], words[2 * y + 1]
+def _fine_row_words(geometry, surface, target, patches, y, row):
+    """Fills the words of an image row [W]: of one of the four samples where they show one surface, else `_MIXED`."""
+    words, inv_z = target.words, target.inv_z
     for x in range(len(row)):
-        word = upper[2 * x]
-        same = (word == upper[2 * x + 1]) & (word == lower[2 * x]) & (word == lower[2 * x + 1])
-        row[x] = word if same else _MIXED
+        word = words[2 * y, 2 * x]
+        row[x] = word
+        right, lower, both = words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
+        if word == right and word == lower and word == both:
+            continue
+        row[x] = _MIXED
+        if word < 0 or right < 0 or lower < 0 or both < 0:
+            continue
+        near, other = inv_z[2 * y, 2 * x], inv_z[2 * y, 2 * x + 1]
+        third, last = inv_z[2 * y + 1, 2 * x], inv_z[2 * y + 1, 2 * x + 1]
+        nearest, farthest = max(max(near, other), max(third, last)), min(min(near, other), min(third, last))
+        if nearest - farthest > _SMOOTH_DEPTH * nearest:
+            continue
+        instance, patch = target.draws[word >> 7, INSTANCE], _patch_of(geometry, surface, target, patches, word)
+        smooth = True
+        for more in (right, lower, both):
+            smooth &= target.draws[more >> 7, INSTANCE] == instance
+            smooth &= _patch_of(geometry, surface, target, patches, more) == patch
+        if smooth:
+            row[x] = word
+
+
+@kernel_part(forceinline=True)
+def _patch_of(geometry, surface, target, patches, word):
+    packet = geometry.cluster_packets[target.draws[word >> 7, CLUSTER], 0] + ((word & 127) >> 3)
+    return patches[surface.packet_faces[packet, word & 7]]
 
 
 @kernel_part()
