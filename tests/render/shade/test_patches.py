@@ -83,12 +83,13 @@ def test_a_surface_before_itself_keeps_its_edge() -> None:
     k = np.arange(0, 58, 2)[:, None]
     faces = np.concatenate([k + np.array([0, 1, 3]), k + np.array([0, 3, 2])]).astype(np.int32)
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
-    mesh = Mesh(vertices=places, faces=faces, colors=np.full((60, 3), 150, np.uint8), normals=normals)
+    colors = np.repeat(np.linspace(20, 240, 60).astype(np.uint8)[:, None], 3, 1)  # so that near and far differ
+    mesh = Mesh(vertices=places, faces=faces, colors=colors, normals=normals)
     assert len(set(patches(mesh))) == 1
     pose = look_at(np.array([-0.6, 1.1, 0.2]), np.array([0.1, 0.0, 0.0]))
     camera = pinhole(96, 72, hfov_deg=60, pose=pose)
-    test_scene = RenderScene([mesh], [RenderInstance(0, np.eye(4))])
-    four = Renderer(test_scene).render(camera, outputs=("rgb",), samples=4)["rgb"].astype(int)
-    test_scene.__dict__["patches"] = np.arange(len(faces), dtype=np.int32)
-    expected = Renderer(test_scene).render(camera, outputs=("rgb",), samples=4)["rgb"].astype(int)
+    scene = RenderScene([mesh], [RenderInstance(0, np.eye(4))])
+    four = Renderer(scene).render(camera, outputs=("rgb",), samples=4)["rgb"].astype(int)
+    scene.__dict__["patches"] = np.arange(len(faces), dtype=np.int32)
+    expected = Renderer(scene).render(camera, outputs=("rgb",), samples=4)["rgb"].astype(int)
     assert np.abs(four - expected).max() <= 8
