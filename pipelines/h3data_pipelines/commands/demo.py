@@ -142,7 +142,7 @@ def _videos(recording: Recording, out: Path, light: LightMode) -> dict[str, Path
     for name, (camera, output, stride) in wanted.items():
         view = (camera_track(replay, camera), [Target(output, "h264", out / f"{name}.mp4")])
         steps = range(0, len(recording), stride)
-        render_files(replay, [view], steps=steps, threads=core_count(), description=f"render {name}")
+        render_files(replay, [view], steps=steps, threads=core_count(), samples=4, description=f"render {name}")
     return {wanted[name][0]: out / f"{name}.mp4" for name in wanted}
 
 
