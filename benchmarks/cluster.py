@@ -119,7 +119,8 @@ def _killed(emit: Callable[[str, float, str], None], episodes: int) -> None:
         assert isinstance(root, RemotePath)
         by_ray = [*command, "--executor", "ray", "-o", f"{uri}/ds"]
         start = time.perf_counter()
-        driver, kept = subprocess.Popen(by_ray, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL), 0
+        told = stack.enter_context(tempfile.TemporaryFile("w+"))
+        driver, kept = subprocess.Popen(by_ray, stdout=subprocess.DEVNULL, stderr=told), 0
         while driver.poll() is None:
             time.sleep(2.0)
             committed = len(list((root / "meta/episodes").glob("chunk-*/file-*.parquet")))
@@ -127,11 +128,14 @@ def _killed(emit: Callable[[str, float, str], None], episodes: int) -> None:
                 driver.send_signal(signal.SIGKILL)
                 driver.wait()
                 kept = len(Dataset(root))
-                driver = subprocess.Popen([*by_ray, "--resume"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                driver = subprocess.Popen([*by_ray, "--resume"], stdout=subprocess.DEVNULL, stderr=told)
             elif nodes.killed < min(committed, KILLS):
                 nodes.replace(nodes.killed % nodes.count)
         emit("cluster.killed.ray_wall_s", time.perf_counter() - start, "s")
         emit("cluster.killed.exit_code", driver.returncode, "1")
+        if driver.returncode:
+            told.seek(0)
+            sys.stderr.write(told.read()[-2000:])
         emit("cluster.killed.nodes", nodes.killed, "nodes")
         emit("cluster.killed.kept_when_the_driver_died", kept, "episodes")
         emit("cluster.killed.episodes", len(Dataset(root)), "episodes")

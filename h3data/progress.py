@@ -17,6 +17,9 @@ LINE_EVERY_S = 30.0
 QUIET = "H3DATA_QUIET"
 """Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
 _LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far, about {remaining} left{postfix}"
+_EARLY_LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far{postfix}"
+_EARLY = 0.03
+"""Share of the units below which nothing is foretold: the first one waits for kernels that are compiled once."""
 _LINE_WITHOUT_TOTAL = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
 
 
@@ -73,6 +76,13 @@ def _lines_bar() -> type[tqdm[Any]]:
     from tqdm import tqdm
 
     class Lines(tqdm):
+        @property
+        def format_dict(self) -> dict[str, Any]:
+            shown = super().format_dict
+            if self.total and self.n - self.initial <= max(1, _EARLY * self.total):
+                shown["bar_format"] = _EARLY_LINE
+            return shown
+
         def display(self, msg: str | None = None, pos: int | None = None) -> None:
             text = str(self) if msg is None else msg
             if text:

@@ -26,6 +26,7 @@ def test_off_a_terminal_long_work_prints_lines(monkeypatch: pytest.MonkeyPatch) 
         assert list(progress([1, 2, 3], desc="simulate", unit="episode")) == [1, 2, 3]
     lines = log.getvalue().splitlines()
     assert [line.partition(",")[0] for line in lines] == [f"simulate: {n} of 3 episodes" for n in (0, 1, 2, 3)]
+    assert [line.endswith(" left") for line in lines] == [False, False, True, True]  # nothing is foretold from one unit
 
 
 def test_off_a_terminal_short_work_prints_nothing() -> None:
