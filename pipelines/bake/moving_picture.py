@@ -1,5 +1,7 @@
-"""Makes ``docs/pictures/demo.webp``, the moving picture of the README, from the demo: ``python -m
-pipelines.bake.moving_picture``."""
+"""Makes ``docs/pictures/demo.webp``, the moving picture of the front page, from the recording of the demo:
+
+``python -m pipelines.bake.moving_picture [out/demo/episode.mcap [FIRST_STEP]]``
+"""
 
 from __future__ import annotations
 
@@ -11,46 +13,54 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-SIZE = (480, 320)
-"""Width and height of the third-person picture [px]; robot's depth and the map stand to its right, half as high."""
-EVERY, FRAMES, MILLISECONDS = 3, 100, 100
-"""A frame every 3 steps, 10 s of life, shown in real time."""
+from h3data.progress import progress
+from h3data.recording import open_recording
+from h3data.render import depth_to_rgb
+from h3data.replay import Replay, camera_track
+from h3data_pipelines.pictures.rendering import draw_trajectories
+
+SIZE = (832, 468)
+"""Width and height of the third-person picture [px]; the robot's depth and the map stand to its right, half as high."""
+GAP = 4
+EVERY, FRAMES, MILLISECONDS = 3, 120, 100
+"""A frame every 3 steps, 12 s of life, shown in real time."""
 
 
-def main(demo: Path, out: Path) -> None:
-    """Makes a looping WebP of the middle of the demo's three videos."""
-    videos = [_pictures(demo / f"{name}.mp4") for name in ("third_person", "arm_depth", "top_down")]
-    frames = [_sheet(*three) for three in zip(*videos, strict=True)]
-    frames[0].save(out, save_all=True, append_images=frames[1:], duration=MILLISECONDS, loop=0, quality=60, method=4)
+def main(recording: Path, first: int, out: Path) -> None:
+    """Renders a looping WebP of three cameras, with smooth edges, from step ``first`` on."""
+    replay = Replay(open_recording(recording), light="baked")
+    side = ((SIZE[1] - GAP) // 2 * 4 // 3, (SIZE[1] - GAP) // 2)
+    stage, renderer = replay.stage, replay.stage.renderer()
+    person, above = (
+        camera_track(replay, name).resized(*size) for name, size in (("third_person", SIZE), ("top_down", side))
+    )
+    arm = camera_track(replay, "robot_arm").resized(*side)
+    frames = []
+    steps = range(first, min(first + EVERY * FRAMES, len(replay.recording)), EVERY)
+    for step in progress(steps, desc="moving picture", unit="frame"):
+        (seen, plan) = (
+            stage.render(renderer, step, [track.at(step)], outputs=("rgb",), samples=4)[0]["rgb"]
+            for track in (person, above)
+        )
+        draw_trajectories(plan, replay, above, step)
+        (depth,) = stage.render(renderer, step, [arm.at(step)], outputs=("depth",))
+        frames.append(_sheet(seen, depth_to_rgb(depth["depth"], 0.0, 6.0), plan))
+    frames[0].save(out, save_all=True, append_images=frames[1:], duration=MILLISECONDS, loop=0, quality=55, method=4)
     sys.stdout.write(f"{out}: {len(frames)} frames, {out.stat().st_size / 1e6:.1f} MB\n")
 
 
-def _pictures(video: Path) -> list[NDArray[np.uint8]]:
-    import av
-
-    with av.open(str(video)) as container:
-        every: list[NDArray[Any]] = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    first = max((len(every) - EVERY * FRAMES) // 2, 0)
-    return every[first : first + EVERY * FRAMES : EVERY]
-
-
-def _sheet(third_person: NDArray[np.uint8], depth: NDArray[np.uint8], top_down: NDArray[np.uint8]) -> Image.Image:
-    width, height = SIZE
-    sheet = Image.new("RGB", (width + height * 3 // 4, height), (24, 24, 27))
-    sheet.paste(_filled(third_person, (width, height)), (0, 0))
-    for row, picture in enumerate((depth, top_down)):
-        sheet.paste(_filled(picture, (height * 3 // 4 - 4, height // 2 - 2)), (width + 4, row * (height // 2 + 2)))
+def _sheet(third_person: NDArray[np.uint8], *beside: NDArray[Any]) -> Image.Image:
+    sheet = Image.new("RGB", (SIZE[0] + GAP + beside[0].shape[1], SIZE[1]), (24, 24, 27))
+    sheet.paste(Image.fromarray(third_person), (0, 0))
+    for row, picture in enumerate(beside):
+        sheet.paste(Image.fromarray(picture), (SIZE[0] + GAP, row * (picture.shape[0] + GAP)))
     return sheet
 
 
-def _filled(pixels: NDArray[np.uint8], size: tuple[int, int]) -> Image.Image:
-    """The picture scaled and cut to a size, around its middle."""
-    picture = Image.fromarray(pixels)
-    scale = max(size[0] / picture.width, size[1] / picture.height)
-    picture = picture.resize((round(picture.width * scale), round(picture.height * scale)), Image.Resampling.LANCZOS)
-    left, top = (picture.width - size[0]) // 2, (picture.height - size[1]) // 2
-    return picture.crop((left, top, left + size[0], top + size[1]))
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/demo"), Path("docs/pictures/demo.webp"))
+    given = sys.argv[1:]
+    main(
+        Path(given[0] if given else "out/demo/episode.mcap"),
+        int(given[1]) if len(given) > 1 else 60,
+        Path("docs/pictures/demo.webp"),
+    )

@@ -57,7 +57,7 @@ class Demo:
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/demo")
     """Folder for the results."""
-    seed: int = 15
+    seed: int = 3
     """Home and episode."""
     steps: int = 600
     """Length of the episode at most, at 30 steps per second."""
@@ -114,7 +114,7 @@ class Demo:
         from sim_kinematic.tasks.runner import simulate
         from sim_kinematic.tasks.social_nav import SocialNav
 
-        scene = build_home(HomeSpec(preset="small", seed=self.seed))
+        scene = build_home(HomeSpec(preset="small", seed=self.seed, generation=2))
         spec = SocialNavSpec(
             max_steps=self.steps, spawn_distance_m=4.0, human=replace(NATURAL_WALKER, speed_mps=self.human_speed)
         )
