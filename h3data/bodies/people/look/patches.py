@@ -87,11 +87,14 @@ def read_patch(data: Arrays, prefix: str) -> Patch:
     )
 
 
-def vertex_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
-    """Unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas; up where these are degenerate."""
+def vertex_normals(vertices: Floats, faces: NDArray[np.int32], surface: NDArray[np.integer] | None = None) -> Floats:
+    """Unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas; up where these are degenerate.
+    Vertices of the same ``surface`` [V] are shaded as one."""
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
     cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    corners = faces.ravel()
-    total = np.stack([np.bincount(corners, cross[:, k], minlength=len(vertices)) for k in range(3)], axis=1)
+    corners = faces.ravel() if surface is None else surface[faces.ravel()]
+    count = len(vertices) if surface is None else int(surface.max()) + 1
+    total = np.stack([np.bincount(corners, cross[:, k], minlength=count) for k in range(3)], axis=1)
     total[np.abs(total).max(axis=1) < 1e-12] = (0, 1, 0)
-    return normalized(total).astype(np.float32)
+    own = normalized(total).astype(np.float32)
+    return own if surface is None else own[surface]

@@ -108,16 +108,16 @@ def _refined(s: Sheet, fine: bool) -> Sheet:
 def top(ground: Ground, skin: Sheet, spec: Top, *, fine: bool) -> Draft:
     """A garment of the upper body over a sheet of the whole skin."""
     m = ground.base.measures
-    s = kept(skin, lambda mesh: _limits(mesh, m, spec)[0])
-    s = kept(s, lambda mesh: _limits(mesh, m, spec)[1])
-    s = kept(s, lambda mesh: _limits(mesh, m, spec)[2])
+    s = kept(skin, lambda mesh: limits(mesh, m, spec)[0])
+    s = kept(s, lambda mesh: limits(mesh, m, spec)[1])
+    s = kept(s, lambda mesh: limits(mesh, m, spec)[2])
     s = _refined(s, fine)
     slots = np.full(len(s.faces), SLOT["top"], np.uint8)
     trims = []
     if spec.cuffs_m:
-        trims = [lambda mesh: spec.cuffs_m - _limits(mesh, m, spec)[0], lambda mesh: spec.cuffs_m - _limits(mesh, m, spec)[1]]
+        trims = [lambda mesh: spec.cuffs_m - limits(mesh, m, spec)[0], lambda mesh: spec.cuffs_m - limits(mesh, m, spec)[1]]
     if spec.collar == "lapels":
-        trims = [lambda mesh: 0.032 - _limits(mesh, m, spec)[2]]
+        trims = [lambda mesh: 0.032 - limits(mesh, m, spec)[2]]
     if spec.buttoned and fine:
         trims.append(lambda mesh: np.where(mesh.vertices[:, 2] > m.pelvis[2], 0.016 - np.abs(mesh.vertices[:, 0] - 0.004), -1))
     for field in trims:
@@ -153,7 +153,7 @@ def _hollows(points: Array, faces: NDArray[np.int32], source: NDArray[np.int64])
     return hollows(one, source[faces].astype(np.int32))[source]
 
 
-def _limits(mesh: Cloth, m: Measures, spec: Top) -> tuple[Array, Array, Array]:
+def limits(mesh: Cloth, m: Measures, spec: Top) -> tuple[Array, Array, Array]:
     """How far inside hem, sleeves and neckline [m]."""
     arms = m.arms(mesh) > 0.5
     hem = np.where(arms, 1.0, mesh.vertices[:, 1] - m.pelvis[1] - spec.hem * m.stature)
@@ -165,7 +165,7 @@ def _limits(mesh: Cloth, m: Measures, spec: Top) -> tuple[Array, Array, Array]:
 
 def top_lift(ground: Ground, m: Measures, mesh: Cloth, spec: Top) -> Array:
     """How far a top stands off the skin [m]."""
-    hem, sleeve, neck = _limits(mesh, m, spec)
+    hem, sleeve, neck = limits(mesh, m, spec)
     arms, (u, _) = m.arms(mesh), m.along_arm(mesh)
     hem_y = float(m.pelvis[1]) + spec.hem * m.stature
     end = spec.sleeve[1] + (0 if spec.sleeve[0] == "upper" else 1)
