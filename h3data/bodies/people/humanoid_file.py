@@ -187,9 +187,7 @@ def _dressed_meshes(data: Arrays, common: _Common, outfit: str) -> dict[str, Any
     normals = vertex_normals(vertices, common.base_faces)
     look = read_look(str(data["look"]))
     worn = outfit or look.outfit
-    meshes = {
-        detail: dressed(builtin_wardrobe(), look, worn, vertices, normals, detail) for detail in ("full", "lod")
-    }
+    meshes = {detail: dressed(builtin_wardrobe(), look, worn, vertices, normals, detail) for detail in ("full", "lod")}
     return {**meshes, "region_names": SLOTS, "outfit": worn}
 
 

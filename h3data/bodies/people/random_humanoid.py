@@ -69,7 +69,9 @@ def random_arrays(name: str, bodies: Sequence[str], read: Callable[[str], Arrays
     parents = [json.loads(str(body["phenotype"])) for body in (one, other)]
     traits = {key: (1 - share) * parents[0][key] + share * parents[1][key] for key in ("gender", "age")}
     looks = [read_look(str(body["look"])) for body in (one, other)]
-    mixed["phenotype"] = np.array(json.dumps({k: (1 - share) * v + share * parents[1][k] for k, v in parents[0].items()}))
+    mixed["phenotype"] = np.array(
+        json.dumps({k: (1 - share) * v + share * parents[1][k] for k, v in parents[0].items()})
+    )
     mixed["look"] = np.array(_look(rng, looks, share, **traits).to_json())
     mixed["name"] = np.array(name)
     return mixed

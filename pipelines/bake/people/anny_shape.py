@@ -65,7 +65,9 @@ def shapes(wanted: Mapping[str, ShapeSpec]) -> dict[str, RawShape]:
 
     def forward(phenotype: Mapping[str, float], spec: ShapeSpec | None = None) -> tuple[Array, Array]:
         local = _on_both_sides(spec.features, model.local_change_labels, ("{}", "l-{}", "r-{}")) if spec else {}
-        actions = _on_both_sides(spec.expression, model.facial_action_labels, ("{}", "{}Left", "{}Right")) if spec else {}
+        actions = (
+            _on_both_sides(spec.expression, model.facial_action_labels, ("{}", "{}Left", "{}Right")) if spec else {}
+        )
         with torch.no_grad():
             out = model(
                 pose_parameters=identity, phenotype_kwargs=dict(phenotype), local_changes_kwargs=local,

@@ -61,6 +61,10 @@ def look(
 PATTERN = BodySpec(phenotype=phenotype(0.5), stature_m=1.70, look=look((128,) * 3, (128,) * 3, "crop"))
 """The body on which clothes are cut and hair is grown; on others they lie at the same anatomical places."""
 
+_YOUNG = {"eye-scale-incr": 0.25, "cheek-volume-incr": 0.45, "chin-height-incr": -0.35, "nose-scale-vert-incr": -0.3,
+          "nose-hump-incr": -0.3, "chin-prominent-incr": -0.2}  # fmt: skip
+"""Round cheeks, large eyes, small nose and chin."""
+
 BODIES = {
     "female_0": BodySpec(
         phenotype=phenotype(1),
@@ -101,7 +105,9 @@ BODIES = {
     "male_2": BodySpec(
         phenotype=phenotype(0, age=0.95, weight=0.68, muscle=0.4),
         stature_m=1.70,
-        look=look((222, 178, 156), (182, 180, 178), "receding", "smart", 1, iris=(96, 110, 122), lines=0.5, lips=0.2, stubble=0.2),
+        look=look(
+            (222, 178, 156), (182, 180, 178), "receding", "smart", 1, iris=(96, 110, 122), lines=0.5, lips=0.2, stubble=0.2,
+        ),
         features={"head-age-incr": 0.2, "ear-scale-incr": 0.25, "mouth-angles-up": 0.4, "head-fat-incr": 0.3},
     ),
     "male_3": BodySpec(
@@ -152,22 +158,24 @@ BODIES = {
         phenotype=phenotype(0.9, age=0.30, weight=0.48),
         stature_m=1.22,
         look=look((236, 194, 170), (128, 88, 56), "tail", "dress", 3, iris=(96, 112, 120), lips=0.45, blush=0.5),
-        features={"eye-scale-incr": 0.2},
+        features={**_YOUNG, "eye-scale-incr": 0.35},
     ),
     "child_1": BodySpec(
         phenotype=phenotype(0.1, age=0.32, weight=0.45, african=0.7),
         stature_m=1.30,
         look=look((124, 84, 62), (32, 26, 25), "curls", "summer", 3, iris=(50, 36, 28), lips=0.3, blush=0.15),
+        features=_YOUNG,
     ),
     "child_2": BodySpec(
         phenotype=phenotype(0.85, age=0.36, weight=0.42, asian=0.8),
         stature_m=1.40,
         look=look((234, 196, 166), (36, 32, 34), "bob", "casual", 5, lips=0.4, blush=0.4),
+        features=_YOUNG,
     ),
     "child_3": BodySpec(
         phenotype=phenotype(0.15, age=0.31, weight=0.54),
         stature_m=1.26,
         look=look((234, 192, 166), (176, 136, 88), "tousled", "sport", 3, iris=(86, 108, 132), lips=0.35, blush=0.5),
-        features={"head-fat-incr": 0.3, "ear-wing-incr": 0.3},
+        features={**_YOUNG, "head-fat-incr": 0.3, "ear-wing-incr": 0.3},
     ),
 }  # fmt: skip

@@ -53,7 +53,9 @@ def slot_colors(complexion: Complexion, cloth: Mapping[str, Color]) -> Floats:
     return np.array([cloth.get(name, own.get(name, (128, 128, 128))) for name in SLOTS], np.float32)
 
 
-def vertex_colors(patch: Patch, slots: Floats, complexion: Complexion, *, tights: bool, scalp: float) -> NDArray[np.uint8]:
+def vertex_colors(
+    patch: Patch, slots: Floats, complexion: Complexion, *, tights: bool, scalp: float
+) -> NDArray[np.uint8]:
     """Colors of a patch's vertices, uint8 [V, 3]. ``scalp``: how much hair covers the scalp."""
     colors = slots[patch.slots]
     if patch.paint.shape[1]:

@@ -77,7 +77,8 @@ def without(patch: Patch, faces: Any) -> Patch:
 
     used, compact = np.unique(patch.faces[~faces], return_inverse=True)
     own = {
-        name: getattr(patch, name)[used] for name in ("corners", "shares", "lift", "joints", "weights", "slots", "shade", "paint")
+        name: getattr(patch, name)[used]
+        for name in ("corners", "shares", "lift", "joints", "weights", "slots", "shade", "paint")
     }
     offset = None if patch.offset is None else patch.offset[used]
     return dataclasses.replace(patch, faces=compact.reshape(-1, 3).astype(np.int32), offset=offset, **own)

@@ -31,16 +31,17 @@ class Outfit:
     """Legs are in the color ``legs`` instead of bare."""
 
 
-def _colors(*names: str) -> Any:
-    """Sets of colors from rows of sRGB triples, for these slots in turn."""
-    return lambda *rows: tuple({n: (row[3 * k], row[3 * k + 1], row[3 * k + 2]) for k, n in enumerate(names)} for row in rows)
+def _sets(slots: tuple[str, ...], *rows: tuple[int, ...]) -> tuple[Mapping[str, Color], ...]:
+    """Sets of colors from rows that hold an sRGB triple for each of these slots."""
+    return tuple({n: (row[3 * k], row[3 * k + 1], row[3 * k + 2]) for k, n in enumerate(slots)} for row in rows)
 
 
 _SUIT = ("top", "top trim", "bottom", "bottom trim", "shoes")
 OUTFITS: dict[str, Outfit] = {
     "casual": Outfit(
         pieces=("tshirt", "jeans", "sneakers"),
-        colors=_colors(*_SUIT)(
+        colors=_sets(
+            _SUIT,
             (72, 148, 146, 62, 132, 131, 58, 74, 112, 58, 74, 112, 226, 224, 218),
             (214, 178, 84, 198, 160, 72, 62, 66, 78, 62, 66, 78, 226, 224, 218),
             (226, 222, 214, 208, 204, 196, 84, 108, 144, 84, 108, 144, 74, 78, 86),
@@ -51,7 +52,8 @@ OUTFITS: dict[str, Outfit] = {
     ),
     "smart": Outfit(
         pieces=("shirt", "chinos", "leather shoes"),
-        colors=_colors(*_SUIT)(
+        colors=_sets(
+            _SUIT,
             (222, 228, 236, 230, 234, 240, 158, 138, 106, 0, 0, 0, 92, 62, 42),
             (150, 176, 208, 160, 184, 214, 68, 74, 92, 0, 0, 0, 70, 48, 36),
             (232, 206, 196, 238, 214, 204, 110, 106, 98, 0, 0, 0, 60, 46, 40),
@@ -61,7 +63,8 @@ OUTFITS: dict[str, Outfit] = {
     ),
     "knit": Outfit(
         pieces=("pullover", "cords", "leather shoes"),
-        colors=_colors(*_SUIT)(
+        colors=_sets(
+            _SUIT,
             (146, 76, 66, 128, 66, 58, 112, 94, 68, 0, 0, 0, 84, 58, 42),
             (204, 190, 164, 188, 174, 148, 82, 66, 54, 0, 0, 0, 92, 66, 46),
             (74, 98, 124, 64, 86, 110, 128, 112, 88, 0, 0, 0, 66, 50, 42),
@@ -71,17 +74,19 @@ OUTFITS: dict[str, Outfit] = {
     ),
     "sport": Outfit(
         pieces=("hoodie", "joggers", "sneakers"),
-        colors=_colors(*_SUIT)(
-            (96, 104, 118, 226, 224, 220, 58, 60, 68, 50, 52, 60, 206, 84, 66),
-            (66, 84, 112, 206, 208, 212, 92, 96, 104, 82, 86, 94, 226, 224, 218),
-            (168, 84, 76, 222, 216, 206, 54, 56, 62, 48, 50, 56, 222, 220, 214),
-            (116, 138, 120, 226, 224, 214, 70, 72, 76, 62, 64, 68, 70, 74, 82),
-            (188, 178, 160, 120, 112, 100, 104, 98, 90, 94, 88, 80, 226, 224, 218),
+        colors=_sets(
+            _SUIT,
+            (96, 104, 118, 84, 92, 106, 58, 60, 68, 50, 52, 60, 206, 84, 66),
+            (66, 84, 112, 58, 75, 101, 92, 96, 104, 82, 86, 94, 226, 224, 218),
+            (168, 84, 76, 152, 74, 67, 54, 56, 62, 48, 50, 56, 222, 220, 214),
+            (116, 138, 120, 103, 124, 107, 70, 72, 76, 62, 64, 68, 70, 74, 82),
+            (188, 178, 160, 172, 162, 144, 104, 98, 90, 94, 88, 80, 226, 224, 218),
         ),
     ),
     "pyjamas": Outfit(
         pieces=("pyjama", "pyjama trousers", "slippers"),
-        colors=_colors(*_SUIT)(
+        colors=_sets(
+            _SUIT,
             (122, 146, 186, 224, 228, 236, 122, 146, 186, 0, 0, 0, 112, 98, 92),
             (186, 142, 152, 236, 224, 224, 186, 142, 152, 0, 0, 0, 150, 132, 128),
             (128, 156, 138, 226, 232, 224, 128, 156, 138, 0, 0, 0, 96, 88, 80),
@@ -90,7 +95,8 @@ OUTFITS: dict[str, Outfit] = {
     ),
     "dress": Outfit(
         pieces=("dress", "flats"),
-        colors=_colors("top", "legs", "shoes")(
+        colors=_sets(
+            ("top", "legs", "shoes"),
             (148, 56, 82, 58, 54, 62, 44, 40, 44),
             (62, 92, 122, 50, 52, 60, 48, 46, 52),
             (98, 120, 84, 70, 62, 56, 82, 60, 48),
@@ -101,7 +107,8 @@ OUTFITS: dict[str, Outfit] = {
     ),
     "summer": Outfit(
         pieces=("tshirt", "shorts", "sneakers"),
-        colors=_colors(*_SUIT)(
+        colors=_sets(
+            _SUIT,
             (224, 212, 182, 206, 194, 164, 94, 106, 84, 0, 0, 0, 232, 230, 226),
             (84, 154, 180, 74, 138, 164, 190, 178, 152, 0, 0, 0, 222, 220, 214),
             (230, 226, 220, 214, 210, 204, 76, 98, 130, 0, 0, 0, 74, 78, 86),
@@ -135,7 +142,7 @@ class Wardrobe:
 
     def hidden(self, pieces: tuple[str, ...], detail: Detail) -> NDArray[np.bool_]:
         """Faces of the skin that nobody sees below these pieces [F]."""
-        count = len(self.data[f"skin/{detail}/faces"])
+        count = self.data[f"skin/{detail}/faces"].shape[-1]
         bits = np.zeros((count + 7) // 8, np.uint8)
         for piece in pieces:
             bits |= self.data[f"{piece}/{detail}/hides"]

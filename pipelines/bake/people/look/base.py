@@ -93,6 +93,7 @@ def make_base(rig: Rig, masks: dict[str, Array]) -> Base:
     eye = np.bincount(part, m.is_eye(body), minlength=count) > 0
     keep = (eye | (np.bincount(part, minlength=count) == np.bincount(part).max()))[part]
     keep &= body.vertices[:, 1] > m.ankle[1] - 0.035  # feet are inside the shoes
+    keep &= ~_unseen(m, body, masks["lips"])
     faces = f[keep[f].all(axis=1)]
     kept, compact = np.unique(faces, return_inverse=True)
     skin = Cloth(vertices=rig.vertices[kept], weights=rig.weights[kept], faces=compact.reshape(-1, 3).astype(np.int32))
@@ -103,6 +104,24 @@ def make_base(rig: Rig, masks: dict[str, Array]) -> Base:
     return Base(
         measures=m, kept=kept, skin_faces=skin.faces, amount=amount, masks={k: v[kept] for k, v in masks.items()}
     )
+
+
+def _unseen(m: Measures, body: Cloth, lips: Array) -> NDArray[np.bool_]:
+    """Vertices in the mouth, and the back halves of the eyeballs."""
+    from scipy.spatial import KDTree
+
+    x, y, z = body.vertices.T
+    eyes = m.is_eye(body)
+    mouth = body.vertices[lips > 0.5]
+    low, high = mouth[:, 1].min() - 0.018, mouth[:, 1].max() + 0.014
+    near = (np.abs(x) < 0.042) & (y > low) & (y < high) & (z > m.head_z - 0.02) & ~eyes
+    tree = KDTree(body.vertices[near][:, :2])
+    front = np.array(
+        [body.vertices[near][k, 2].max() for k in tree.query_ball_point(body.vertices[near][:, :2], 0.006)]
+    )
+    unseen = np.zeros(len(x), bool)
+    unseen[near] = z[near] < front - 0.011
+    return unseen | (eyes & (z < m.eye[2] - 0.004))
 
 
 def neckline(m: Measures, mesh: Cloth, drop: float, tilt: float, curve: float) -> Array:
@@ -205,7 +224,9 @@ def head_cage(rig: Rig, ears: Array | None = None) -> Array:
     skull = (joint_weight(body, ("head", "jaw")) > 0.6) & (np.abs(x) < 0.40 * m.head_size * 1.45)
     side = np.abs(x) > 0.0
     skull &= (y > m.eye[1] - 0.9 * m.head_size) & (z < m.eye[2] + 0.012) & side
-    near_ear = (np.abs(z - m.head_z) < 0.5 * m.head_size) & (np.abs(y - m.eye[1] + 0.15 * m.head_size) < 0.42 * m.head_size)
+    near_ear = (np.abs(z - m.head_z) < 0.5 * m.head_size) & (
+        np.abs(y - m.eye[1] + 0.15 * m.head_size) < 0.42 * m.head_size
+    )
     width = np.abs(x[(y > m.eye[1] + 0.25 * m.head_size) & (joint_weight(body, ("head",)) > 0.6)]).max()
     skull &= ~(near_ear & (np.abs(x) > 0.985 * width))
     hull = ConvexHull(body.vertices[skull])

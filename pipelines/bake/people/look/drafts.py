@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bake.people.look.base import Base
 from bake.people.look.measures import Cloth
-from h3data.bodies.people.look.patches import SHADE_UNIT, SHARE_UNIT, UNIT_M, vertex_normals
+from h3data.bodies.people.look.patches import SHADE_UNIT, SHARE_UNIT, UNIT_M, canonical, vertex_normals
 from h3data.geometry import Array, normalized
 
 SNAP = 1e-4
@@ -203,7 +203,7 @@ class Ground:
             "corners": corners.astype(np.uint16),
             "shares": share[:, :2].astype(np.uint8),
             "lift": np.round((draft.lift + height) / UNIT_M).astype(np.int16),
-            "faces": draft.mesh.faces.astype(np.uint16),
+            "faces": canonical(draft.mesh.faces),
             "joints": order.astype(np.uint8),
             "weights": whole.astype(np.uint8),
             "slots": draft.mesh.slots,

@@ -10,16 +10,29 @@ from numpy.typing import NDArray
 
 from bake.people.look.base import SKIRT_COLUMNS, SKIRT_ROWS, grid_faces, neckline, skirt_weights
 from bake.people.look.cloth import (
-    INSIDE_SHADE, Hang, arm_folds, between_legs, border_loops, free, hemmed, leg_folds, resampled, ridge, trunk_folds, tube,
-    turned_out, wobble,
+    INSIDE_SHADE,
+    Hang,
+    arm_folds,
+    between_legs,
+    border_loops,
+    free,
+    hemmed,
+    leg_folds,
+    resampled,
+    ridge,
+    trunk_folds,
+    tube,
+    turned_out,
+    wobble,
 )  # fmt: skip
 from bake.people.look.drafts import Draft, Ground, Sheet, colored, cut, hollows, joined, kept, refined
 from bake.people.look.measures import Cloth, Measures, bump, smoothstep
 from h3data.bodies.people.look.colors import SLOT
+from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array, normalized
 
 Collar = Literal["none", "rib", "shirt", "hood", "lapels"]
-FINE_M = 0.0135
+FINE_M = 0.0172
 """Edges of the full sheets are about this long [m], half of it where cloth folds."""
 
 
@@ -86,8 +99,8 @@ TOPS: dict[str, Top] = {
                     hem=-0.02, hang=0.12, folds_m=0.006),
     "hoodie": Top(ease_m=0.019, sleeve_ease_m=0.018, cuffs_m=0.055, collar="hood", neck=(-0.020, 0.50, 3.5),
                   hem=-0.03, hang=0.05, folds_m=0.008),
-    "pyjama": Top(ease_m=0.012, sleeve_ease_m=0.015, flare_m=0.006, neck=(-0.046, 0.95, 2.5), collar="lapels",
-                  buttoned=True, hem=-0.075, hang=0.05, folds_m=0.007, stripes=True),
+    "pyjama": Top(ease_m=0.012, sleeve_ease_m=0.015, flare_m=0.006, neck=(-0.030, 0.72, 3.0), collar="lapels",
+                  buttoned=True, hem=-0.055, hang=0.05, folds_m=0.007, stripes=True),
     "dress": Dress(sleeve=("upper", 0.50), flare_m=0.008, ease_m=0.006, neck=(-0.040, 0.55, 4.5), hem=0.052,
                    hang=0.6, folds_m=0.003, collar="none"),
 }  # fmt: skip
@@ -96,7 +109,7 @@ BOTTOMS: dict[str, Bottom] = {
     "chinos": Bottom(width_m=(0.086, 0.064, 0.055), folds_m=0.004, ease_m=0.006, end=1.95, crease=True),
     "cords": Bottom(width_m=(0.090, 0.073, 0.070), ribs=True, ease_m=0.008, tucked=-0.035),
     "joggers": Bottom(width_m=(0.096, 0.080, 0.066), folds_m=0.008, cuffs_m=0.05, ease_m=0.011, end=1.95),
-    "pyjama trousers": Bottom(width_m=(0.100, 0.090, 0.088), folds_m=0.007, ease_m=0.011, seat=0.15, tucked=-0.085),
+    "pyjama trousers": Bottom(width_m=(0.100, 0.090, 0.088), folds_m=0.007, ease_m=0.011, seat=0.15, tucked=-0.068),
     "shorts": Bottom(end=0.86, width_m=(0.102, 0.100, 0.100), ease_m=0.009),
 }
 
@@ -115,11 +128,16 @@ def top(ground: Ground, skin: Sheet, spec: Top, *, fine: bool) -> Draft:
     slots = np.full(len(s.faces), SLOT["top"], np.uint8)
     trims = []
     if spec.cuffs_m:
-        trims = [lambda mesh: spec.cuffs_m - limits(mesh, m, spec)[0], lambda mesh: spec.cuffs_m - limits(mesh, m, spec)[1]]
+        trims = [
+            lambda mesh: spec.cuffs_m - limits(mesh, m, spec)[0],
+            lambda mesh: spec.cuffs_m - limits(mesh, m, spec)[1],
+        ]
     if spec.collar == "lapels":
         trims = [lambda mesh: 0.032 - limits(mesh, m, spec)[2]]
     if spec.buttoned and fine:
-        trims.append(lambda mesh: np.where(mesh.vertices[:, 2] > m.pelvis[2], 0.016 - np.abs(mesh.vertices[:, 0] - 0.004), -1))
+        trims.append(
+            lambda mesh: np.where(mesh.vertices[:, 2] > m.pelvis[2], 0.016 - np.abs(mesh.vertices[:, 0] - 0.004), -1)
+        )
     for field in trims:
         s, _ = cut(s, field)
     middle = Cloth(vertices=s.vertices[s.faces].mean(1), weights=s.weights[s.faces].mean(1), faces=s.faces)
@@ -133,6 +151,7 @@ def top(ground: Ground, skin: Sheet, spec: Top, *, fine: bool) -> Draft:
         edge |= inside
     s, source = colored(s, slots)
     lift = top_lift(ground, m, s, spec)
+    s = replace(s, weights=_hanging(s.weights))
     draft = Draft(mesh=s, lift=lift)
     shown = ground.shown(draft, "skin")
     draft = replace(draft, shade=_hollows(shown, s.faces, source))
@@ -144,6 +163,16 @@ def top(ground: Ground, skin: Sheet, spec: Top, *, fine: bool) -> Draft:
     parts = [hemmed(draft, source=source)]
     parts += _sewn(ground, draft, source, spec, fine=fine)
     return joined(parts)
+
+
+def _hanging(weights: Array) -> Array:
+    """Weights of a top: what hangs over the hips follows the thighs by half."""
+    out = weights.copy()
+    for side in ("left", "right"):
+        hip = JOINT_INDEX[f"{side}_hip"]
+        out[:, JOINT_INDEX["pelvis"]] += 0.55 * out[:, hip]
+        out[:, hip] *= 0.45
+    return out
 
 
 def _hollows(points: Array, faces: NDArray[np.int32], source: NDArray[np.int64]) -> Array:
@@ -187,7 +216,9 @@ def top_lift(ground: Ground, m: Measures, mesh: Cloth, spec: Top) -> Array:
         x, y, z = mesh.vertices.T
         waist = hem_y + spec.cuffs_m
         pocket = smoothstep(0.006, -0.006, np.abs(x) - 0.13 + 0.45 * np.maximum(y - waist - 0.07, 0))
-        lift += 0.007 * pocket * smoothstep(0.155, 0.145, y - waist) * smoothstep(0.0, 0.02, y - waist) * (z > m.pelvis[2])
+        lift += (
+            0.007 * pocket * smoothstep(0.155, 0.145, y - waist) * smoothstep(0.0, 0.02, y - waist) * (z > m.pelvis[2])
+        )
     return lift
 
 
@@ -222,15 +253,16 @@ def _sewn(ground: Ground, draft: Draft, source: NDArray[np.int64], spec: Top, *,
         width, height = 0.016 + 0.030 * back**1.5, 0.018 + 0.022 * back
         path = ring + (0.004 + 0.020 * back)[:, None] * across + (0.006 + 0.012 * back)[:, None] * up
         lean = normalized(across + (0.35 * (1 - back) - 0.5 * back)[:, None] * up)
-        points, faces = tube(path, lean, normalized(up + 0.4 * back[:, None] * across), width, height, 10 if fine else 6)
+        points, faces = tube(
+            path, lean, normalized(up + 0.4 * back[:, None] * across), width, height, 10 if fine else 6
+        )
         parts.append(free(ground, points, faces, SLOT["top"]))
         droop = ring - 0.020 * across - 0.010 * up  # the opening of the hood, seen as a second roll inside
         points, faces = tube(droop, across, up, 0.012 + 0.010 * back, 0.016 + 0.012 * back, 8 if fine else 5)
         inner = free(ground, points, faces, SLOT["top"])
         parts.append(replace(inner, shade=np.full(len(points), 0.8)))
         if fine:
-            for side in (1, -1):
-                parts.append(_cord(ground, ring, side))
+            parts += [_cord(ground, ring, side) for side in (1, -1)]
     if spec.collar == "shirt":
         parts += _shirt_collar(ground, ring, across, front, fine=fine)
     if spec.buttoned and fine:
@@ -245,7 +277,7 @@ def _cord(ground: Ground, ring: Array, side: int) -> Draft:
     circle = 0.0032 * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], 1)
     points = (path[:, None] + circle).reshape(-1, 3)
     faces = turned_out(points, grid_faces(7, 5), path.mean(0))
-    return free(ground, points, faces, SLOT["top trim"])
+    return free(ground, points, faces, SLOT["buttons"])
 
 
 def _shirt_collar(ground: Ground, ring: Array, across: Array, front: Array, *, fine: bool) -> list[Draft]:
@@ -313,7 +345,9 @@ def bottom(ground: Ground, skin: Sheet, spec: Bottom, *, fine: bool) -> Draft:
     wide = np.interp(u, [0.45, 1.0, 1.95], spec.width_m)
     on_leg = smoothstep(0.20, 0.60, u)
     lift = np.maximum(on_leg * (wide - r), 0.0)
-    lift = np.hypot(lift, spec.ease_m) + (1 - on_leg) * np.minimum(Hang(ground, spec.seat)(s), 0.035) * smoothstep(-0.2, 0.1, u)
+    lift = np.hypot(lift, spec.ease_m) + (1 - on_leg) * np.minimum(Hang(ground, spec.seat)(s), 0.035) * smoothstep(
+        -0.2, 0.1, u
+    )
     lift += leg_folds(m, s, spec.folds_m, spec.end) * smoothstep(waist - 0.01, waist - 0.06, s.vertices[:, 1])
     tucked = float(m.pelvis[1]) + spec.tucked * m.stature
     lift = lift * smoothstep(tucked + 0.03, tucked - 0.04, s.vertices[:, 1]) + 0.0035
@@ -353,16 +387,22 @@ def dress(ground: Ground, skin: Sheet, spec: Dress, *, fine: bool) -> list[tuple
     )  # fmt: skip
     depth = spec.pleat_m if fine else 0.4 * spec.pleat_m
     turns = angle * spec.pleats / (2 * np.pi) + 0.28 * wobble(mesh, 0.30, 4)
-    lift = 0.002 + 0.010 * smoothstep(0.05, 0.25, down) + spec.flare * 0.45 * down**1.4 + depth * ridge(turns) * smoothstep(0.05, 0.6, down)
+    lift = (
+        0.002
+        + 0.010 * smoothstep(0.05, 0.25, down)
+        + spec.flare * 0.45 * down**1.4
+        + depth * ridge(turns) * smoothstep(0.05, 0.6, down)
+    )
     skirt = Draft(mesh=mesh, lift=lift)
     shade = hollows(ground.shown(skirt, "skirt"), mesh.faces)
     # the lower edge turns in and up, so that one looks at cloth from below
+    row = np.arange(rows * across).reshape(rows, across)
+    back = row[[-1, -2, -3]].ravel()
     lip = Sheet(
-        vertices=np.concatenate([flat[-across:], flat[-2 * across : -across], flat[-3 * across : -2 * across]]),
-        weights=np.concatenate([mesh.weights[-across:], mesh.weights[-2 * across : -across], mesh.weights[-3 * across : -2 * across]]),
-        faces=grid_faces(3, across)[:, ::-1].copy(), slots=np.full(3 * across, SLOT["top"], np.uint8),
+        vertices=flat[back], weights=mesh.weights[back], faces=grid_faces(3, across)[:, ::-1].copy(),
+        slots=mesh.slots[back],
     )  # fmt: skip
-    lip_lift = np.concatenate([lift[-across:], lift[-2 * across : -across] - 0.004, lift[-3 * across : -2 * across] - 0.006])
+    lip_lift = lift[back] - np.repeat([0.0, 0.004, 0.006], across)
     lip_draft = Draft(mesh=lip, lift=lip_lift, shade=np.repeat([0.8, 0.5, INSIDE_SHADE], across))
     whole = joined([replace(skirt, shade=shade), lip_draft])
     return [(top(ground, skin, spec, fine=fine), "skin"), (whole, "skirt")]

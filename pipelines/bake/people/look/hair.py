@@ -137,7 +137,7 @@ def _outside(head: Round, points: Array, room: Array) -> Array:
     """Points pushed away from the vertical axis to where they are ``room`` [m] outside; negative room leaves them."""
     flat = (points - [0, 0, head.z]) * [1, 0, 1]
     r = np.maximum(np.linalg.norm(flat, axis=-1), 1e-6)
-    wanted = np.where((room > 0) & (points[..., 1] < head.high - 0.07), head(points) + room, 0.0)
+    wanted = np.where((room > 0) & (points[..., 1] < head.high - 0.045), head(points) + room, 0.0)
     return points + (np.clip(wanted / r - 1, 0, 1.0))[..., None] * flat
 
 
@@ -165,7 +165,7 @@ def hair(ground: Ground, spec: Hair, *, fine: bool) -> Draft:
         lift += 0.012 * bump(degrees, 96, 22) * smoothstep(62, 82, polar)
     points = anchor + lift[..., None] * up
     covers = (hang > 0.003) | spec.scarf
-    points = _outside(skull.round_head, points, np.where((lift > 0.0005) & ~covers, 0.0025, -1.0))
+    points = _outside(skull.round_head, points, np.where((lift > 0.0005) & ~covers, 0.0055, -1.0))
     points = _outside(skull.with_ears, points, np.where((lift > 0.0005) & covers, 0.0050, -1.0))
     if spec.part_x is not None:
         side = points[..., 0] - spec.part_x * 0.075
@@ -192,7 +192,9 @@ def hair(ground: Ground, spec: Hair, *, fine: bool) -> Draft:
         vertices=low.reshape(-1, 3), weights=_hair_weights(m, flat_points), faces=grid_faces(count, columns),
         slots=np.full(len(flat_points), SLOT["scarf" if spec.scarf else "hair"], np.uint8),
     )  # fmt: skip
-    shade = _streaks(spec, np.broadcast_to(azimuth, (count, columns)).ravel(), np.repeat(np.arange(count), columns), fine=fine)
+    shade = _streaks(
+        spec, np.broadcast_to(azimuth, (count, columns)).ravel(), np.repeat(np.arange(count), columns), fine=fine
+    )
     shade = shade * hollows(flat_points, mesh.faces, 60.0)
     if hang.any():
         shade[-3 * columns :] = 0.55
@@ -222,7 +224,9 @@ def _thickness(spec: Hair, polar: Array, degrees: Array, t: Array, hangs: Array,
         lift -= spec.strand_m * (1 - ridge(turns)) * smoothstep(0.03, 0.3, t)
     if spec.curl_m:
         size = 0.09 / spec.curl_m * (1.0 if fine else 0.5)
-        curl = np.sin(size * 2.1 * (t * 3.2) + 4 * np.sin(size * angle * 0.9)) * np.sin(size * 2.0 * angle + 2.0 * t * size)
+        curl = np.sin(size * 2.1 * (t * 3.2) + 4 * np.sin(size * angle * 0.9)) * np.sin(
+            size * 2.0 * angle + 2.0 * t * size
+        )
         lift += 0.22 * full * curl * smoothstep(0.0, 0.25, t) * smoothstep(1.0, 0.9, t)
     lift = np.where(hangs, lift, np.where(t > 0.985, SUNK_M, lift - 0.003 * smoothstep(0.9, 1.0, t)))
     if spec.bald == "no":
@@ -280,7 +284,9 @@ def _knot(skull: Skull, kind: str, *, fine: bool) -> Draft:
     if kind == "bun":
         n = 9 if fine else 5
         grid = sphere_grid(n)
-        radius = np.array([0.040, 0.037, 0.032]) * (1 + 0.05 * ridge(np.arctan2(grid[:, 0], grid[:, 1])[:, None] * 4 / np.pi))
+        radius = np.array([0.040, 0.037, 0.032]) * (
+            1 + 0.05 * ridge(np.arctan2(grid[:, 0], grid[:, 1])[:, None] * 4 / np.pi)
+        )
         points = back + [0, 0.006, -0.020] + grid * radius
         faces = grid_faces(n, 2 * n)
         shade = 0.94 + 0.14 * ridge(np.arctan2(grid[:, 0], grid[:, 1]) * 5 / np.pi + 1.4 * grid[:, 2])
@@ -316,18 +322,29 @@ def _wrap(ground: Ground, skull: Skull, *, fine: bool) -> Draft:
     flat = np.stack([np.sin(azimuth), 0 * azimuth, np.cos(azimuth)], 1)
     degrees = np.degrees(np.abs((azimuth + np.pi) % (2 * np.pi) - np.pi))
     # the edge runs from the temples down the cheeks and under the chin
-    edge_y = m.eye[1] + np.interp(degrees, [0, 22, 40, 55, 66, 80, 110, 180], [-0.124, -0.119, -0.096, -0.050, 0.005, 0.035, 0.020, -0.03])
+    edge_y = m.eye[1] + np.interp(
+        degrees, [0, 22, 40, 55, 66, 80, 110, 180], [-0.124, -0.119, -0.096, -0.050, 0.005, 0.035, 0.020, -0.03]
+    )
     skin = ground.body.vertices[: ground.base.starts["left last"]]
-    near = (skin[:, 1] > m.neck_joint[1] - 0.03)
+    near = skin[:, 1] > m.neck_joint[1] - 0.03
     axis = np.array([0, 0, m.head_z])
-    cols = np.floor(((np.arctan2(skin[:, 0], skin[:, 2] - axis[2]) + 2 * np.pi) % (2 * np.pi)) / (2 * np.pi) * 24).astype(int) % 24
+    cols = (
+        np.floor(((np.arctan2(skin[:, 0], skin[:, 2] - axis[2]) + 2 * np.pi) % (2 * np.pi)) / (2 * np.pi) * 24).astype(
+            int
+        )
+        % 24
+    )
     k = np.linspace(0, 1, rows)
     low_y = m.neck_joint[1] - 0.010 - 0.030 * smoothstep(90, 0, degrees)
     y = edge_y[None] + k[:, None] * (low_y - edge_y)[None]
     radius = np.zeros((rows, columns))
     for r in range(rows):
         for c in range(columns):
-            at = near & (np.abs(skin[:, 1] - y[r, c]) < 0.014) & np.isin((cols - int(azimuth[c] / (2 * np.pi) * 24)) % 24, (0, 1, 23))
+            at = (
+                near
+                & (np.abs(skin[:, 1] - y[r, c]) < 0.014)
+                & np.isin((cols - int(azimuth[c] / (2 * np.pi) * 24)) % 24, (0, 1, 23))
+            )
             radius[r, c] = np.hypot(skin[at, 0], skin[at, 2] - axis[2]).max() if at.any() else 0.06
     radius = (np.roll(radius, 1, 1) + 2 * radius + np.roll(radius, -1, 1)) / 4
     radius = np.minimum(radius, 0.105)
@@ -396,7 +413,9 @@ def beard_draft(ground: Ground, skin: Sheet, *, fine: bool) -> Draft:
     lips = np.einsum("vk,vk->v", shares, ground.base.masks["lips"][corners])
     depth = np.minimum(beard(m, s), (0.35 - lips) * 0.03)
     chin = bump(np.hypot(s.vertices[:, 0], s.vertices[:, 1] - m.eye[1] + 0.125), 0, 0.045)
-    lift = (0.003 + 0.005 * chin) * smoothstep(0.0, 0.012, depth) + 0.0012 * wobble(s, 0.012, 8) * smoothstep(0.004, 0.015, depth)
+    lift = (0.003 + 0.005 * chin) * smoothstep(0.0, 0.012, depth) + 0.0012 * wobble(s, 0.012, 8) * smoothstep(
+        0.004, 0.015, depth
+    )
     s = replace(s, slots=np.full(len(s.vertices), SLOT["hair"], np.uint8))
     shade = 0.95 + 0.12 * wobble(s, 0.010, 5)
     return Draft(mesh=s, lift=lift, shade=shade)

@@ -77,5 +77,3 @@ def _shoe(ground: Ground, spec: Shoe, side: str, *, fine: bool) -> Draft:
         shade = shade * (1 - 0.25 * bump(along, toe - 0.062, 0.006) * upper)
     shade = np.where(upper & (above > -0.006) & (along < 0.06), 0.72, shade)
     return Draft(mesh=s, lift=lift, shade=shade)
-
-

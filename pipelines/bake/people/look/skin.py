@@ -38,7 +38,7 @@ def full_sheet(base: Base) -> Sheet:
         front = (z > m.eye[2] - 0.030) & (np.abs(x) < 0.062) & ~m.is_eye(mesh)
         return front & (np.abs(y - m.eye[1] + 0.018) < 0.062)
 
-    return refined(sheet(base.pattern, base.part("skin")), face, longer_m=0.0042)
+    return refined(sheet(base.pattern, base.part("skin")), face, longer_m=0.0056)
 
 
 def light_sheet(base: Base) -> Sheet:

@@ -15,6 +15,7 @@ from bake.people.look.hair import HAIR, Skull, beard_draft, brows, hair
 from bake.people.look.measures import Cloth
 from bake.people.look.shoes import SHOES, shoes
 from bake.people.look.skin import full_sheet, light_sheet, skin_draft
+from h3data.bodies.people.look.patches import canonical, pack_faces
 from h3data.bodies.people.look.wardrobe import WARDROBE_FORMAT
 from h3data.geometry import Array
 
@@ -40,12 +41,15 @@ def wardrobe_arrays(base: Base) -> Arrays:
         pieces |= {name: [(bottom(ground, sheet, spec, fine=fine), "skin")] for name, spec in BOTTOMS.items()}
         pieces |= {name: shoes(ground, spec, fine=fine) for name, spec in SHOES.items()}
         pieces |= {name: [(hair(ground, spec, fine=fine), "head")] for name, spec in HAIR.items()}
-        pieces |= {"brows": [(brows(ground, fine=fine), "skin")], "beard": [(beard_draft(ground, sheet, fine=fine), "skin")]}
+        pieces |= {
+            "brows": [(brows(ground, fine=fine), "skin")],
+            "beard": [(beard_draft(ground, sheet, fine=fine), "skin")],
+        }
         for name, drafts in pieces.items():
             arrays = _merged([ground.arrays(draft, part, ruler=ruler) for draft, part in drafts])
             if name in TOPS or name in BOTTOMS or name in SHOES:
                 inside = _covered(base, name, skin.mesh) > MARGIN_M[detail]
-                arrays["hides"] = np.packbits(inside[skin.mesh.faces].all(axis=1))
+                arrays["hides"] = np.packbits(inside[canonical(skin.mesh.faces)].all(axis=1))
             log.info("%s %s: %d vertices", name, detail, len(arrays["lift"]))
             out |= {f"{name}/{detail}/{key}": value for key, value in arrays.items()}
     return out
@@ -55,7 +59,8 @@ def _merged(parts: list[Arrays]) -> Arrays:
     """Patches over different parts of the base as one."""
     starts = np.cumsum([0, *(len(p["lift"]) for p in parts)])
     out = {key: np.concatenate([p[key] for p in parts]) for key in parts[0] if parts[0][key].ndim and key != "ruler"}
-    out["faces"] = np.concatenate([p["faces"] + np.uint16(k) for p, k in zip(parts, starts[:-1], strict=True)])
+    faces = np.concatenate([p["faces"] + int(k) for p, k in zip(parts, starts[:-1], strict=True)])
+    out["faces"] = pack_faces(canonical(faces))
     return out | {key: parts[0][key] for key in ("ruler", "ruler_m") if key in parts[0]}
 
 
@@ -76,5 +81,3 @@ def _covered(base: Base, name: str, mesh: Cloth) -> Array:
         under = np.where(arms > 0.3, -1.0, np.minimum(y - low, -neckline(m, mesh, *spec_top.neck)))
         inside = np.where(y < m.pelvis[1] + spec_top.hem * m.stature + 0.06, under, inside)
     return inside
-
-
