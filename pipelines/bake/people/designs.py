@@ -58,7 +58,7 @@ def look(
     )  # fmt: skip
 
 
-PATTERN = BodySpec(phenotype=phenotype(0.5), stature_m=1.70, look=look((128,) * 3, (128,) * 3, "crop"))
+PATTERN = BodySpec(phenotype=phenotype(0.5), stature_m=1.70, look=look((128, 128, 128), (128, 128, 128), "crop"))
 """The body on which clothes are cut and hair is grown; on others they lie at the same anatomical places."""
 
 _YOUNG = {"eye-scale-incr": 0.25, "cheek-volume-incr": 0.45, "chin-height-incr": -0.35, "nose-scale-vert-incr": -0.3,

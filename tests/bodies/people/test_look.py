@@ -87,12 +87,11 @@ def test_cloth_lies_over_the_skin_at_rest() -> None:
             patch = wardrobe.patch(piece, detail)
             np.testing.assert_allclose(patch.shares.sum(axis=1), 1, atol=1e-6)
             assert (patch.shares >= -1e-6).all()
-            low = -0.013 if piece in ("flats", "slippers") else -0.001  # low-cut shoes lie inside the last
-            if detail == "lod":
-                low -= 0.006  # the light skin itself lies up to this far inside the full one
+            low = -0.001 if detail == "full" else -0.007  # the light skin itself lies up to 6 mm inside the full one
             if piece != "hoodie":  # a hood is rolled up, and partly inside itself
-                assert patch.lift[np.isin(patch.slots, main)].min() >= low, (piece, detail)
-            assert np.mean(patch.lift < low) < 0.05, (piece, detail)
+                assert (patch.lift[np.isin(patch.slots, main)] >= low).all(), (piece, detail)
+            if (patch.slots != SLOTS.index("soles")).all():
+                assert np.mean(patch.lift < low) < 0.08, (piece, detail)
 
 
 def _poses(body: Humanoid) -> np.ndarray:

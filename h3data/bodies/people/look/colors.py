@@ -42,6 +42,10 @@ class Complexion:
     """Shadow of a shaved beard, 0..1."""
 
 
+def _triple(*values: float) -> Floats:
+    return np.array(values, np.float32)
+
+
 def slot_colors(complexion: Complexion, cloth: Mapping[str, Color]) -> Floats:
     """Color of every slot, [`SLOTS`, 3]; of cloth that is not named, a middle grey."""
     skin, hair = np.array(complexion.skin, np.float32), np.array(complexion.hair, np.float32)
@@ -61,15 +65,15 @@ def vertex_colors(
     if patch.paint.shape[1]:
         skin = np.array(complexion.skin, np.float32)
         hair = np.array(complexion.hair, np.float32)
-        dark = skin * np.float32([0.56, 0.50, 0.48])
+        dark = skin * _triple(0.56, 0.50, 0.48)
         paints = {
-            "lips": (skin * np.float32([0.84, 0.56, 0.55]) + np.float32([6, 0, 2]), complexion.lips),
-            "blush": (skin * np.float32([1.02, 0.74, 0.68]), complexion.blush),
-            "lids": (skin * np.float32([0.80, 0.70, 0.66]), 0.8),
+            "lips": (skin * _triple(0.84, 0.56, 0.55) + _triple(6, 0, 2), complexion.lips),
+            "blush": (skin * _triple(1.02, 0.74, 0.68), complexion.blush),
+            "lids": (skin * _triple(0.80, 0.70, 0.66), 0.8),
             "lines": (dark, complexion.lines),
             "stubble": (0.55 * skin + 0.45 * np.minimum(hair, 90), complexion.stubble),
             "scalp": (0.35 * skin + 0.65 * hair, scalp),
-            "lashes": (np.float32([34, 26, 24]), complexion.lashes),
+            "lashes": (_triple(34, 26, 24), complexion.lashes),
             "legs": (slots[SLOT["legs"]], float(tights)),
         }
         for name, (color, strength) in paints.items():

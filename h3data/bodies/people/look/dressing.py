@@ -39,7 +39,7 @@ class Look:
 def read_look(text: str) -> Look:
     """The reverse of `Look.to_json`."""
     data = json.loads(text)
-    complexion = {k: tuple(v) if isinstance(v, list) else v for k, v in data.pop("complexion").items()}
+    complexion: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.pop("complexion").items()}
     colors = {slot: tuple(color) for slot, color in data.pop("colors").items()}
     return Look(complexion=Complexion(**complexion), colors=colors, **data)
 

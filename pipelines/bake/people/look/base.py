@@ -102,7 +102,11 @@ def make_base(rig: Rig, masks: dict[str, Array]) -> Base:
     leg, _, _ = m.along_leg(skin)
     amount = sleeve * smoothstep(0.62, 0.40, leg) * smoothstep(0.0, 0.05, -neckline(m, skin, -0.045, 0.5, 4.0))
     return Base(
-        measures=m, kept=kept, skin_faces=skin.faces, amount=amount, masks={k: v[kept] for k, v in masks.items()}
+        measures=m,
+        kept=kept.astype(np.int64),
+        skin_faces=skin.faces,
+        amount=amount,
+        masks={k: v[kept] for k, v in masks.items()},
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from bake.people.look.drafts import Draft, Ground, Sheet
 from bake.people.look.measures import Cloth, Measures, bump, smoothstep
 from h3data.geometry import Array, normalized
 
+ROUND: Any = ("nearest", "wrap")
+"""How fields over height and azimuth go on beyond their edges."""
 INSIDE_SHADE = 0.42
 """Cloth is this dark where one looks into a sleeve."""
 
@@ -41,18 +44,18 @@ class Hang:
         for _ in range(3):
             wide = maximum_filter1d(maximum_filter1d(radius, 3, axis=1, mode="wrap"), 3, axis=0)
             radius = np.where(radius > 0, radius, wide)
-        radius = gaussian_filter(radius, (1.0, 1.0), mode=("nearest", "wrap"))
+        radius = gaussian_filter(radius, (1.0, 1.0), mode=ROUND)
         step = (self.high - self.low) / (rows - 1)
         fall = radius.copy()
         for k in range(rows - 2, -1, -1):
             fall[k] = np.maximum(fall[k], fall[k + 1] - slope * step)
-        self.excess = gaussian_filter(fall - radius, (1.2, 1.6), mode=("nearest", "wrap"))
+        self.excess = gaussian_filter(fall - radius, (1.2, 1.6), mode=ROUND)
 
     def __call__(self, mesh: Cloth) -> Array:
         from scipy.ndimage import map_coordinates
 
         x, y, z = mesh.vertices.T
-        rows, columns = self.excess.shape
+        rows, columns = self.excess.shape[0], self.excess.shape[1]
         row = (y - self.low) / (self.high - self.low) * (rows - 1)
         column = (np.arctan2(x, z - self.middle_z) + np.pi) / (2 * np.pi) * columns - 0.5
         padded = np.concatenate([self.excess[:, -2:], self.excess, self.excess[:, :2]], axis=1)

@@ -25,7 +25,7 @@ from bake.people.look.cloth import (
     turned_out,
     wobble,
 )  # fmt: skip
-from bake.people.look.drafts import Draft, Ground, Sheet, colored, cut, hollows, joined, kept, refined
+from bake.people.look.drafts import Draft, Field, Ground, Sheet, colored, cut, hollows, joined, kept, refined
 from bake.people.look.measures import Cloth, Measures, bump, smoothstep
 from h3data.bodies.people.look.colors import SLOT
 from h3data.bodies.people.skeleton import JOINT_INDEX
@@ -125,8 +125,7 @@ def top(ground: Ground, skin: Sheet, spec: Top, *, fine: bool) -> Draft:
     s = kept(s, lambda mesh: limits(mesh, m, spec)[1])
     s = kept(s, lambda mesh: limits(mesh, m, spec)[2])
     s = _refined(s, fine)
-    slots = np.full(len(s.faces), SLOT["top"], np.uint8)
-    trims = []
+    trims: list[Field] = []
     if spec.cuffs_m:
         trims = [
             lambda mesh: spec.cuffs_m - limits(mesh, m, spec)[0],
@@ -134,32 +133,27 @@ def top(ground: Ground, skin: Sheet, spec: Top, *, fine: bool) -> Draft:
         ]
     if spec.collar == "lapels":
         trims = [lambda mesh: 0.032 - limits(mesh, m, spec)[2]]
-    if spec.buttoned and fine:
-        trims.append(
-            lambda mesh: np.where(mesh.vertices[:, 2] > m.pelvis[2], 0.016 - np.abs(mesh.vertices[:, 0] - 0.004), -1)
-        )
-    for field in trims:
+
+    def placket(mesh: Cloth) -> Array:
+        return np.where(mesh.vertices[:, 2] > m.pelvis[2], 0.016 - np.abs(mesh.vertices[:, 0] - 0.004), -1)
+
+    for field in (*trims, placket) if spec.buttoned and fine else trims:
         s, _ = cut(s, field)
     middle = Cloth(vertices=s.vertices[s.faces].mean(1), weights=s.weights[s.faces].mean(1), faces=s.faces)
     slots = np.full(len(s.faces), SLOT["top"], np.uint8)
-    edge = np.zeros(len(s.faces), bool)
-    for k, field in enumerate(trims):
-        inside = field(middle) > 0
-        if spec.buttoned and fine and k == len(trims) - 1:
-            continue  # a placket is a raised band of the same cloth
-        slots[inside] = SLOT["top trim"]
-        edge |= inside
+    for field in trims:  # a placket is a raised band of the same cloth
+        slots[field(middle) > 0] = SLOT["top trim"]
     s, source = colored(s, slots)
     lift = top_lift(ground, m, s, spec)
     s = replace(s, weights=_hanging(s.weights))
-    draft = Draft(mesh=s, lift=lift)
-    shown = ground.shown(draft, "skin")
-    draft = replace(draft, shade=_hollows(shown, s.faces, source))
+    shown = ground.shown(Draft(mesh=s, lift=lift), "skin")
+    shade = _hollows(shown, s.faces, source)
     if spec.cuffs_m:
-        draft = replace(draft, shade=draft.shade * _ribs(m, s))
+        shade = shade * np.where(s.slots == SLOT["top trim"], 0.90, 1.0)
     if spec.stripes:
         line = ridge(m.azimuth(s) * 9 / np.pi) * (1 - m.arms(s)) + ridge(m.along_arm(s)[1] * 3 / np.pi) * m.arms(s)
-        draft = replace(draft, shade=draft.shade * (1 - 0.16 * smoothstep(0.55, 0.35, line)))
+        shade = shade * (1 - 0.16 * smoothstep(0.55, 0.35, line))
+    draft = Draft(mesh=s, lift=lift, shade=shade)
     parts = [hemmed(draft, source=source)]
     parts += _sewn(ground, draft, source, spec, fine=fine)
     return joined(parts)
@@ -220,12 +214,6 @@ def top_lift(ground: Ground, m: Measures, mesh: Cloth, spec: Top) -> Array:
             0.007 * pocket * smoothstep(0.155, 0.145, y - waist) * smoothstep(0.0, 0.02, y - waist) * (z > m.pelvis[2])
         )
     return lift
-
-
-def _ribs(m: Measures, mesh: Sheet) -> Array:
-    """Shade of ribbed bands."""
-    trim = mesh.slots == SLOT["top trim"]
-    return np.where(trim, 0.90, 1.0)
 
 
 def _sewn(ground: Ground, draft: Draft, source: NDArray[np.int64], spec: Top, *, fine: bool) -> list[Draft]:

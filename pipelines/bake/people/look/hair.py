@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bake.people.look.base import HEAD_COLUMNS, HEAD_POLAR_DEG, HEAD_ROWS, grid_faces, sphere_grid
-from bake.people.look.cloth import free, ridge, turned_out, wobble
+from bake.people.look.cloth import ROUND, free, ridge, turned_out, wobble
 from bake.people.look.drafts import Draft, Ground, Sheet, cut, hollows, joined, only, over_surface, refined
 from bake.people.look.measures import Cloth, Measures, bump, smoothstep
 from bake.people.look.skin import HAIRLINES, beard
@@ -118,14 +118,14 @@ class Round:
         radius = np.zeros((rows, columns))
         np.maximum.at(radius, (row, column), np.hypot(x, z - self.z))
         for _ in range(4):
-            radius = np.where(radius > 0, radius, maximum_filter(radius, 3, mode=("nearest", "wrap")))
-        radius = maximum_filter(radius, (3, 1), mode=("nearest", "wrap"))
-        self.radius = gaussian_filter(radius, 0.7, mode=("nearest", "wrap"))
+            radius = np.where(radius > 0, radius, maximum_filter(radius, 3, mode=ROUND))
+        radius = maximum_filter(radius, (3, 1), mode=ROUND)
+        self.radius = gaussian_filter(radius, 0.7, mode=ROUND)
 
     def __call__(self, points: Array) -> Array:
         from scipy.ndimage import map_coordinates
 
-        rows, columns = self.radius.shape
+        rows, columns = self.radius.shape[0], self.radius.shape[1]
         row = (points[..., 1] - self.low) / (self.high - self.low) * (rows - 1)
         column = (np.arctan2(points[..., 0], points[..., 2] - self.z) + np.pi) / (2 * np.pi) * columns - 0.5
         padded = np.concatenate([self.radius[:, -2:], self.radius, self.radius[:, :2]], axis=1)
@@ -167,6 +167,7 @@ def hair(ground: Ground, spec: Hair, *, fine: bool) -> Draft:
     covers = (hang > 0.003) | spec.scarf
     points = _outside(skull.round_head, points, np.where((lift > 0.0005) & ~covers, 0.0055, -1.0))
     points = _outside(skull.with_ears, points, np.where((lift > 0.0005) & covers, 0.0050, -1.0))
+    valley = np.zeros_like(lift)
     if spec.part_x is not None:
         side = points[..., 0] - spec.part_x * 0.075
         valley = bump(side, 0, 0.006 if fine else 0.012) * (np.cos(around) > -0.2) * smoothstep(4, 12, polar)
@@ -209,7 +210,7 @@ def hair(ground: Ground, spec: Hair, *, fine: bool) -> Draft:
     return joined([draft, *extra])
 
 
-def _thickness(spec: Hair, polar: Array, degrees: Array, t: Array, hangs: Array, *, fine: bool) -> Array:
+def _thickness(spec: Hair, polar: Array, degrees: Array, t: Array, hangs: NDArray[np.bool_], *, fine: bool) -> Array:
     """How far the shell is off the skull [m]: full on top, thin towards the neck, sunk where nothing grows."""
     top = smoothstep(98, 20, polar)
     full = spec.side_m + (spec.top_m - spec.side_m) * top
@@ -237,7 +238,7 @@ def _thickness(spec: Hair, polar: Array, degrees: Array, t: Array, hangs: Array,
     return grows * lift + (1 - grows) * SUNK_M
 
 
-def _streaks(spec: Hair, azimuth: Array, row: Array, *, fine: bool) -> Array:
+def _streaks(spec: Hair, azimuth: Array, row: NDArray[np.int64], *, fine: bool) -> Array:
     """Shade of strands: lighter and darker ones side by side."""
     if spec.scarf:
         return 1 - 0.10 * (1 - ridge(azimuth * 9 / np.pi + 0.12 * row))
@@ -260,7 +261,7 @@ def _hair_weights(m: Measures, points: Array) -> Array:
     return weights
 
 
-def _off_the_shoulders(ground: Ground, fall: Array, hangs: Array, roots: Array) -> Array:
+def _off_the_shoulders(ground: Ground, fall: Array, hangs: NDArray[np.bool_], roots: Array) -> Array:
     """What hangs, pushed out of neck, shoulders and back."""
     skin = ground.base.part("skin")
     out = fall.copy()
