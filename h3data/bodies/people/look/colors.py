@@ -68,8 +68,8 @@ def vertex_colors(
         dark = skin * _triple(0.56, 0.50, 0.48)
         paints = {
             "lips": (skin * _triple(0.84, 0.56, 0.55) + _triple(6, 0, 2), complexion.lips),
-            "blush": (skin * _triple(1.02, 0.74, 0.68), complexion.blush),
-            "lids": (skin * _triple(0.80, 0.70, 0.66), 0.8),
+            "blush": (skin * _triple(1.0, 0.79, 0.75), complexion.blush),
+            "lids": (skin * _triple(0.84, 0.74, 0.71), 0.7),
             "lines": (dark, complexion.lines),
             "stubble": (0.55 * skin + 0.45 * np.minimum(hair, 90), complexion.stubble),
             "scalp": (0.35 * skin + 0.65 * hair, scalp),
