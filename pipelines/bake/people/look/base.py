@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bake.people.look.measures import Cloth, Measures, arm_joints, joint_weight, smoothstep
+from bake.people.look.measures import Cloth, Measures, joint_weight, smoothstep
 from bake.people.rig import Rig
 from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_INDEX
 from h3data.geometry import Array, normalized
@@ -23,7 +23,7 @@ TOE_BOX_M = 0.012
 LAST_ROWS = 16
 HEAD_ROWS, HEAD_COLUMNS, HEAD_POLAR_DEG = 20, 36, 135.0
 SKIRT_ROWS, SKIRT_COLUMNS = 14, 40
-SMOOTHING = ((0.55, 45),)
+SMOOTHING_ROUNDS = 45
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,9 +40,9 @@ class Base:
 
     def vertices(self, rig: Rig) -> Array:
         """Where the base of a rig has its vertices [V, 3]: skin, two lasts, the cage of the head, that of the legs."""
-        skin = _smoothed(self.skin_faces, rig.vertices[self.kept], self.amount, 45)
+        skin = _smoothed(self.skin_faces, rig.vertices[self.kept], self.amount, SMOOTHING_ROUNDS)
         lasts = [last(rig, side) for side in ("left", "right")]
-        return np.concatenate([skin, *lasts, head_cage(rig, self.masks["ears"]), skirt_cage(rig)])
+        return np.concatenate([skin, *lasts, head_cage(rig), skirt_cage(rig)])
 
     @cached_property
     def starts(self) -> dict[str, int]:
@@ -219,15 +219,14 @@ def head_directions() -> Array:
     return np.stack([np.sin(p) * np.sin(a), np.cos(p), np.sin(p) * np.cos(a)], axis=-1).reshape(-1, 3)
 
 
-def head_cage(rig: Rig, ears: Array | None = None) -> Array:
+def head_cage(rig: Rig) -> Array:
     """The head without ears and nose as seen from its middle: the hull of the skull."""
     from scipy.spatial import ConvexHull
 
     m, body = Measures(rig), Cloth(vertices=rig.vertices, weights=rig.weights, faces=rig.faces)
     x, y, z = body.vertices.T
-    skull = (joint_weight(body, ("head", "jaw")) > 0.6) & (np.abs(x) < 0.40 * m.head_size * 1.45)
-    side = np.abs(x) > 0.0
-    skull &= (y > m.eye[1] - 0.9 * m.head_size) & (z < m.eye[2] + 0.012) & side
+    skull = (joint_weight(body, ("head", "jaw")) > 0.6) & (np.abs(x) < 0.58 * m.head_size)
+    skull &= (y > m.eye[1] - 0.9 * m.head_size) & (z < m.eye[2] + 0.012)
     near_ear = (np.abs(z - m.head_z) < 0.5 * m.head_size) & (
         np.abs(y - m.eye[1] + 0.15 * m.head_size) < 0.42 * m.head_size
     )
@@ -294,6 +293,3 @@ def grid_faces(rows: int, columns: int, *, closed: bool = True) -> NDArray[np.in
     c, d = a + columns, b + columns
     quads = np.stack([np.stack([a, d, b], -1), np.stack([a, c, d], -1)])
     return quads.reshape(-1, 3).astype(np.int32)
-
-
-__all__ = ["Base", "arm_joints", "make_base"]

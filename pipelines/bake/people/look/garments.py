@@ -33,7 +33,7 @@ from h3data.geometry import Array, normalized
 
 Collar = Literal["none", "rib", "shirt", "hood", "lapels"]
 FINE_M = 0.0172
-"""Edges of the full sheets are about this long [m], half of it where cloth folds."""
+"""Edges of the full sheets that are longer than this [m] are halved."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from bake.people.look.base import HEAD_COLUMNS, HEAD_POLAR_DEG, HEAD_ROWS, grid_faces, sphere_grid
 from bake.people.look.cloth import ROUND, free, ridge, turned_out, wobble
 from bake.people.look.drafts import Draft, Ground, Sheet, cut, hollows, joined, only, over_surface, refined
-from bake.people.look.measures import Cloth, Measures, bump, smoothstep
+from bake.people.look.measures import Measures, bump, smoothstep
 from bake.people.look.skin import HAIRLINES, beard
 from h3data.bodies.people.look.colors import SLOT
 from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_INDEX
@@ -400,13 +399,8 @@ def beard_draft(ground: Ground, skin: Sheet, *, fine: bool) -> Draft:
     m = ground.base.measures
     corners, shares, _ = ground.attached(skin.vertices, "skin")
     lips = np.einsum("vk,vk->v", shares, ground.base.masks["lips"][corners])
-    lifted = replace(skin, vertices=skin.vertices)
-
-    def grows(values: Array) -> Callable[[Cloth], Array]:
-        return lambda mesh: values if len(mesh.vertices) == len(values) else beard(m, mesh)
-
-    whole = np.minimum(beard(m, skin), (0.35 - lips) * 0.02)
-    s, side = cut(lifted, grows(whole))
+    grows = np.minimum(beard(m, skin), (0.35 - lips) * 0.02)
+    s, side = cut(skin, lambda _: grows)
     s = only(s, side)
     if fine:
         s = refined(s, lambda mesh: np.ones(len(mesh.vertices), bool), longer_m=0.007)
