@@ -117,7 +117,8 @@ def test_no_skin_comes_through_cloth(name: str, outfit: str) -> None:
     skin, cloth = body.full.regions == SLOTS.index("skin"), np.isin(body.full.regions, CLOTH)
     rest = body.mesh.vertices
     # the skin below cloth at rest: nearer than 3 cm to it, and on its inner side
-    distance, near = KDTree(rest[cloth]).query(rest[skin])
+    distance, nearest = KDTree(rest[cloth]).query(rest[skin])
+    near = np.asarray(nearest)
     assert body.mesh.normals is not None
     inside = np.sum((rest[skin] - rest[cloth][near]) * body.mesh.normals[cloth][near], axis=1)
     under = (distance < 0.03) & (inside < -0.002)

@@ -49,13 +49,13 @@ class Hang:
         fall = radius.copy()
         for k in range(rows - 2, -1, -1):
             fall[k] = np.maximum(fall[k], fall[k + 1] - slope * step)
-        self.excess = gaussian_filter(fall - radius, (1.2, 1.6), mode=ROUND)
+        self.excess: Any = gaussian_filter(fall - radius, (1.2, 1.6), mode=ROUND)
 
     def __call__(self, mesh: Cloth) -> Array:
         from scipy.ndimage import map_coordinates
 
         x, y, z = mesh.vertices.T
-        rows, columns = self.excess.shape[0], self.excess.shape[1]
+        rows, columns = self.excess.shape
         row = (y - self.low) / (self.high - self.low) * (rows - 1)
         column = (np.arctan2(x, z - self.middle_z) + np.pi) / (2 * np.pi) * columns - 0.5
         padded = np.concatenate([self.excess[:, -2:], self.excess, self.excess[:, :2]], axis=1)

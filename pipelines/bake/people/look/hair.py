@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,12 +119,12 @@ class Round:
         for _ in range(4):
             radius = np.where(radius > 0, radius, maximum_filter(radius, 3, mode=ROUND))
         radius = maximum_filter(radius, (3, 1), mode=ROUND)
-        self.radius = gaussian_filter(radius, 0.7, mode=ROUND)
+        self.radius: Any = gaussian_filter(radius, 0.7, mode=ROUND)
 
     def __call__(self, points: Array) -> Array:
         from scipy.ndimage import map_coordinates
 
-        rows, columns = self.radius.shape[0], self.radius.shape[1]
+        rows, columns = self.radius.shape
         row = (points[..., 1] - self.low) / (self.high - self.low) * (rows - 1)
         column = (np.arctan2(points[..., 0], points[..., 2] - self.z) + np.pi) / (2 * np.pi) * columns - 0.5
         padded = np.concatenate([self.radius[:, -2:], self.radius, self.radius[:, :2]], axis=1)
