@@ -13,11 +13,11 @@ from h3data.bodies.people.humanoid import Humanoid
 @lru_cache(maxsize=64)
 def load_humanoid(name: str | Path) -> Humanoid:
     """A person by name: a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or an
-    ``.npz`` file; with ``+`` and a motion file (``female_0+walk.bvh``) they walk as somebody walks in that. Loaded once, then
-    shared.
+    ``.npz`` file; with a colon and an outfit (``female_0:dress``) they wear that, and with ``+`` and a motion file
+    (``female_0+walk.bvh``) they walk as somebody walks in that. Loaded once, then shared.
 
     Raises:
-        InputError: there is no such body or motion, or nobody walks in it.
+        InputError: there is no such body, outfit or motion, or nobody walks in it.
         FormatError: a file is damaged, or none of these.
     """
     body, motion = split_walk(str(name))

@@ -11,6 +11,7 @@ import numpy as np
 
 from h3data.bodies import Robot, humanoid_names, is_robot, load_humanoid, load_robot, robot_names
 from h3data.bodies.motion.walk_names import JOIN, split_walk
+from h3data.bodies.people.look.wardrobe import split_outfit
 from h3data.bodies.people.random_humanoid import is_random
 from h3data.errors import InputError, SceneError, did_you_mean
 from h3data.geometry import Array
@@ -117,8 +118,10 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
 
 
 def is_person(name: str) -> bool:
-    """Whether a name, which is no kind, means a person: a body, ``random:SEED``, a file, or one of these with a motion."""
+    """Whether a name, which is no kind, means a person: a body, ``random:SEED``, a file, or one of these with an outfit or a
+    motion."""
     body, motion = split_walk(name)
+    body, _ = split_outfit(body)
     return body in humanoid_names() or body.endswith(".npz") or is_random(body) or bool(motion and not body)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import h3data
-from h3data.bodies import humanoid_names
+from h3data.bodies.people.humanoid_file import ADULTS
 from h3data.recording import recordings_equal
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands.generate import Generate
@@ -72,7 +72,7 @@ def test_each_person_draws_a_body_that_does_not_depend_on_how_many_episodes_ther
     drawn = bodies(60)
     assert drawn[:5] == bodies(5)
     assert {names[1] for names in drawn} == {"robot"}
-    assert {names[0] for names in drawn} == {names[2] for names in drawn} == set(humanoid_names())
+    assert {names[0] for names in drawn} == {names[2] for names in drawn} == set(ADULTS)
     assert any(names[0] != names[2] for names in drawn)
 
 

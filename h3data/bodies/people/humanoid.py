@@ -51,9 +51,7 @@ class SkinnedMesh:
     weights: NDArray[np.float32]
     """They sum to 1, shape [V, 4]."""
     regions: NDArray[np.uint8]
-    """Index into `Humanoid.region_names` per vertex: skin, shirt, trousers, ... Shape [V]."""
-    weld: NDArray[np.uint16]
-    """Vertices with the same number and colour are one surface, shaded smooth across. Shape [V]."""
+    """Index into `Humanoid.region_names` per vertex: skin, hair, top, bottom, ... Shape [V]."""
 
     @cached_property
     def skin(self) -> Skin:
@@ -96,6 +94,8 @@ class Humanoid:
     capsules: tuple[BodyCapsule, ...]
     gaits: Gaits
     """The gait; `clips` are sampled from it."""
+    outfit: str = ""
+    """Name of the clothes; empty where they are part of the body's own mesh."""
     phenotype: Mapping[str, float] = field(default_factory=dict)
     """The shape parameters from which the body was baked."""
 

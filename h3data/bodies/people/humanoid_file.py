@@ -1,7 +1,8 @@
 """Reading humanoids from baked npz files: no pickle, whole numbers, planes of bytes that compress well.
 
-The built-in bodies share one topology (``common.npz``: faces, skin weights, regions, mean vertices); a body's own file holds
-its vertices as differences from the mean, its skeleton, colours, collision capsules and gait. A file may also hold both.
+The built-in bodies share a base (``common.npz``) and a wardrobe (``wardrobe.npz``: skin, clothes and hair as patches over the
+base); a body's own file holds the places of its base as differences from the mean, its skeleton, look, collision capsules and
+gait. A file may also hold meshes of its own instead of a base.
 """
 
 from __future__ import annotations
@@ -20,63 +21,70 @@ from numpy.typing import NDArray
 from h3data.bodies.people.clips import Gaits
 from h3data.bodies.people.humanoid import BodyCapsule, Humanoid, SkinnedMesh
 from h3data.bodies.people.legs import Legs
+from h3data.bodies.people.look.colors import SLOTS
+from h3data.bodies.people.look.dressing import dressed, read_look
+from h3data.bodies.people.look.patches import vertex_normals
+from h3data.bodies.people.look.wardrobe import OUTFITS, SEPARATOR, WARDROBE_FILE, builtin_wardrobe, split_outfit
 from h3data.bodies.people.random_humanoid import is_random, random_arrays
 from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError, did_you_mean
-from h3data.geometry import Array, normalized
+from h3data.geometry import Array
 from h3data.mesh.mesh import Mesh
 
-FILE_FORMAT, COMMON_FORMAT = "h3data.humanoid/2", "h3data.humanoid-common/2"
+FILE_FORMAT, COMMON_FORMAT = "h3data.humanoid/2", "h3data.humanoid-common/3"
 COMMON_FILE = "common.npz"
 VERTEX_UNIT_M = 1e-4
 """Vertices are stored in whole tenths of a millimetre (int16: within 3.2 m of the origin)."""
 WEIGHT_UNIT = 1 / 255
+ADULTS = tuple(f"{kind}_{k}" for kind in ("female", "male", "neutral") for k in range(4))
+"""The bodies that ``any`` and ``random`` take; children and older people are named."""
 
 Arrays = Mapping[str, NDArray[Any]]
 
 
 def humanoid_names() -> tuple[str, ...]:
     """Names of the built-in bodies, sorted."""
-    return tuple(sorted(p.stem for p in builtin_path("bodies").glob("*.npz") if p.name != COMMON_FILE))
+    others = (COMMON_FILE, WARDROBE_FILE)
+    return tuple(sorted(p.stem for p in builtin_path("bodies").glob("*.npz") if p.name not in others))
 
 
 def _builtin_arrays(name: str) -> dict[str, Any]:
     return read_arrays(builtin_path(f"bodies/{name}.npz"), FILE_FORMAT)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=64)
 def load_humanoid(name: str | Path) -> Humanoid:
     """A built-in body by name (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or one from a file
-    that ends in ``.npz``. Loaded once, then shared."""
-    if is_random(str(name)):
-        common = builtin_common()
+    that ends in ``.npz``; with a colon and an outfit (``female_0:dress``) they wear that. Loaded once, then shared."""
+    body, outfit = split_outfit(str(name))
+    if is_random(body):
         planes = to_planes, from_planes
-        return _humanoid(
-            random_arrays(str(name), humanoid_names(), _builtin_arrays, common.region_names, planes), common
-        )
-    if str(name).endswith(".npz"):
-        path = Path(name)
-    elif str(name) in humanoid_names():
-        path = builtin_path(f"bodies/{name}.npz")
+        return _humanoid(random_arrays(body, ADULTS, _builtin_arrays, planes), outfit)
+    if body.endswith(".npz"):
+        path = Path(body)
+    elif body in humanoid_names():
+        path = builtin_path(f"bodies/{body}.npz")
     else:
-        near = did_you_mean(str(name), humanoid_names())
+        before, _, after = body.partition(SEPARATOR)
+        if before in humanoid_names() or is_random(before) or before.endswith(".npz"):
+            near = did_you_mean(after, tuple(OUTFITS))
+            raise InputError(f"No outfit {after!r}.{near} There are: {', '.join(OUTFITS)}.")
+        near = did_you_mean(body, humanoid_names())
         raise InputError(
-            f"No built-in humanoid {str(name)!r}.{near} There are: {', '.join(humanoid_names()) or 'none'}, "
-            "and random:SEED."
+            f"No built-in humanoid {body!r}.{near} There are: {', '.join(humanoid_names()) or 'none'}, and random:SEED."
         )
     data = read_arrays(path, FILE_FORMAT)
     try:
-        common = _common(data) if "full_faces" in data else builtin_common()
-        if common.name != str(data["common"]):
+        if "full_faces" not in data and str(data["common"]) != builtin_common().name:
             raise FormatError(
-                f"The humanoid was baked on another topology ({data['common']}) than the built-in one ({common.name}). "
-                f"Hint: bake it again. File: {path}"
+                f"The humanoid was baked on another topology ({data['common']}) than the built-in one "
+                f"({builtin_common().name}). Hint: bake it again. File: {path}"
             )
-        return _humanoid(data, common)
+        return _humanoid(data, outfit)
     except KeyError as error:
         raise FormatError(f"The humanoid file lacks the array {error}. Hint: bake it again. File: {path}") from error
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, TypeError) as error:
         raise FormatError(f"The humanoid file is damaged ({error}). Hint: bake it again. File: {path}") from error
 
 
@@ -96,23 +104,10 @@ def read_arrays(path: Path, expected: str) -> dict[str, NDArray[Any]]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Part:
-    """What the full or the light meshes of several bodies have in common."""
-
-    mean: NDArray[np.int16]
-    faces: NDArray[np.int32]
-    joints: NDArray[np.uint8]
-    weights: NDArray[np.float32]
-    regions: NDArray[np.uint8]
-    weld: NDArray[np.uint16]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Common:
     name: str
-    full: _Part
-    lod: _Part
-    region_names: tuple[str, ...]
+    base_mean: NDArray[np.int16]
+    base_faces: NDArray[np.int32]
     capsule_names: tuple[str, ...]
     capsule_joints: tuple[int, ...]
 
@@ -120,33 +115,21 @@ class _Common:
 @lru_cache(maxsize=1)
 def builtin_common() -> _Common:
     """What the built-in bodies share, read once."""
-    return _common(read_arrays(builtin_path(f"bodies/{COMMON_FILE}"), COMMON_FORMAT))
+    data = read_arrays(builtin_path(f"bodies/{COMMON_FILE}"), COMMON_FORMAT)
+    return _Common(
+        name=str(data["common"]), base_mean=from_planes(data["base_mean"]),
+        base_faces=data["base_faces"].astype(np.int32), **_capsule_places(data),
+    )  # fmt: skip
 
 
-def _common(data: Arrays) -> _Common:
+def _capsule_places(data: Arrays) -> dict[str, Any]:
     names = tuple(str(n) for n in data["joint_names"])
     if names != JOINT_NAMES:
         raise FormatError(f"Expected the {len(JOINT_NAMES)} SMPL-X joints in their order, got {len(names)} others.")
-    return _Common(
-        name=str(data["common"]),
-        full=_part(data, "full"),
-        lod=_part(data, "lod"),
-        region_names=tuple(str(n) for n in data["region_names"]),
-        capsule_names=tuple(str(n) for n in data["capsule_names"]),
-        capsule_joints=tuple(int(j) for j in data["capsule_joints"]),
-    )
-
-
-def _part(data: Arrays, prefix: str) -> _Part:
-    weights = data[f"{prefix}_weights"].astype(np.float32) * np.float32(WEIGHT_UNIT)
-    return _Part(
-        mean=from_planes(data[f"{prefix}_mean"]),
-        faces=data[f"{prefix}_faces"].astype(np.int32),
-        joints=data[f"{prefix}_joints"],
-        weights=weights / weights.sum(axis=1, keepdims=True),
-        regions=data[f"{prefix}_regions"],
-        weld=data[f"{prefix}_weld"],
-    )
+    return {
+        "capsule_names": tuple(str(n) for n in data["capsule_names"]),
+        "capsule_joints": tuple(int(j) for j in data["capsule_joints"]),
+    }
 
 
 def to_planes(vertices: NDArray[np.int16]) -> NDArray[np.uint8]:
@@ -161,23 +144,31 @@ def from_planes(planes: NDArray[np.uint8]) -> NDArray[np.int16]:
     return np.ascontiguousarray((low | high << 8).astype(np.int16).T)
 
 
-def _humanoid(data: Arrays, common: _Common) -> Humanoid:
+def _humanoid(data: Arrays, outfit: str) -> Humanoid:
     bind = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
     bind[:, :3, :3], bind[:, :3, 3] = data["bind_rotation"], data["bind_position"]
     offsets = data["joint_offsets"].astype(np.float64)
     height = float(data["height_m"])
+    if "full_faces" in data:
+        if outfit:
+            raise InputError(f"The body {data['name']} has a mesh of its own, which wears nothing else.")
+        places = _capsule_places(data)
+        drawn: dict[str, Any] = {part: _own_mesh(data, part) for part in ("full", "lod")}
+        drawn |= {"region_names": tuple(str(n) for n in data["region_names"])}
+    else:
+        common = builtin_common()
+        places = {"capsule_names": common.capsule_names, "capsule_joints": common.capsule_joints}
+        drawn = _dressed_meshes(data, common, outfit)
     return Humanoid(
-        name=str(data["name"]),
+        name=str(data["name"]) + (f"{SEPARATOR}{outfit}" if outfit else ""),
         height_m=height,
         joint_offsets=offsets,
         inverse_bind=np.linalg.inv(bind),
-        full=_skinned_mesh(data, "full", common.full),
-        lod=_skinned_mesh(data, "lod", common.lod),
-        region_names=common.region_names,
+        **drawn,
         capsules=tuple(
             BodyCapsule(name=name, joint=joint, start=start, end=end, radius=float(radius))
             for name, joint, start, end, radius in zip(
-                common.capsule_names, common.capsule_joints, data["capsule_start"].astype(np.float64),
+                places["capsule_names"], places["capsule_joints"], data["capsule_start"].astype(np.float64),
                 data["capsule_end"].astype(np.float64), data["capsule_radius"], strict=True,
             )
         ),
@@ -191,6 +182,15 @@ def _humanoid(data: Arrays, common: _Common) -> Humanoid:
     )  # fmt: skip
 
 
+def _dressed_meshes(data: Arrays, common: _Common, outfit: str) -> dict[str, Any]:
+    vertices = (common.base_mean + from_planes(data["base_delta"])) * np.float32(VERTEX_UNIT_M)
+    normals = vertex_normals(vertices, common.base_faces)
+    look = read_look(str(data["look"]))
+    worn = outfit or look.outfit
+    meshes = {detail: dressed(builtin_wardrobe(), look, worn, vertices, normals, detail) for detail in ("full", "lod")}
+    return {**meshes, "region_names": SLOTS, "outfit": worn}
+
+
 def legs_from_offsets(offsets: Array, feet: Array, ankle_height: float) -> Legs:
     """The measures of legs from ``joint_offsets`` [55, 3] and the ``feet`` of `Legs` [2, 3, 3] [m]."""
     return Legs(
@@ -202,32 +202,15 @@ def legs_from_offsets(offsets: Array, feet: Array, ankle_height: float) -> Legs:
     )
 
 
-def _skinned_mesh(data: Arrays, prefix: str, part: _Part) -> SkinnedMesh:
-    vertices = (part.mean + from_planes(data[f"{prefix}_delta"])) * np.float32(VERTEX_UNIT_M)
+def _own_mesh(data: Arrays, prefix: str) -> SkinnedMesh:
+    weights = data[f"{prefix}_weights"].astype(np.float32) * np.float32(WEIGHT_UNIT)
+    vertices = (from_planes(data[f"{prefix}_mean"]) + from_planes(data[f"{prefix}_delta"])) * np.float32(VERTEX_UNIT_M)
+    faces, regions = data[f"{prefix}_faces"].astype(np.int32), data[f"{prefix}_regions"]
     colors = data["region_colors"].astype(np.uint8)
     _, shade = np.unique(colors, axis=0, return_inverse=True)
-    surface = part.weld.astype(np.int64) * len(colors) + shade.ravel()[part.regions]
+    surface = data[f"{prefix}_weld"].astype(np.int64) * len(colors) + shade.ravel()[regions]
+    normals = vertex_normals(vertices, faces, surface)
     return SkinnedMesh(
-        mesh=Mesh(
-            vertices=vertices, faces=part.faces, colors=colors[part.regions],
-            normals=vertex_normals(vertices, part.faces, surface),
-        ),
-        joints=part.joints, weights=part.weights, regions=part.regions, weld=part.weld,
+        mesh=Mesh(vertices=vertices, faces=faces, colors=colors[regions], normals=normals),
+        joints=data[f"{prefix}_joints"], weights=weights / weights.sum(axis=1, keepdims=True), regions=regions,
     )  # fmt: skip
-
-
-def vertex_normals(
-    vertices: NDArray[np.float32], faces: NDArray[np.int32], surface: NDArray[np.int64]
-) -> NDArray[np.float32]:
-    """Unit normals per vertex, float32 [V, 3]: the mean of the faces around, weighted by their areas; vertices of the same
-    ``surface`` [V] are one. Up where all faces around are degenerate (a hem of no height)."""
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    face_normals = np.cross(b - a, c - a)
-    count = int(surface.max()) + 1
-    corners = surface[faces.ravel()]
-    total = np.stack(
-        [np.bincount(corners, np.repeat(face_normals[:, k], 3), minlength=count) for k in range(3)], axis=1
-    )
-    own = total[surface]
-    own[np.abs(own).max(axis=1) < 1e-12] = (0, 1, 0)
-    return normalized(own).astype(np.float32)

@@ -1,18 +1,23 @@
 """People by a number: a build between those of two built-in bodies, and clothes, skin and hair of their own.
 
 ``random:SEED`` names such a person wherever a body has a name, also in recordings; the same seed gives the same person as long
-as the built-in bodies stay as they are. All built-in bodies have one topology and arrays that blend linearly; legs are solved
+as the built-in bodies stay as they are. All built-in bodies have one base and arrays that blend linearly; legs are solved
 for their measures, so feet stay planted on any blend.
 """
 
 from __future__ import annotations
 
-import colorsys
-from collections.abc import Callable, Collection, Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from h3data.bodies.people.look.colors import Color, Complexion
+from h3data.bodies.people.look.dressing import Look, read_look
+from h3data.bodies.people.look.wardrobe import OUTFITS
 
 PREFIX = "random:"
 BLEND = (0.15, 0.85)
@@ -21,11 +26,17 @@ BLENDED = (
     "bind_rotation", "bind_position", "joint_offsets", "capsule_start", "capsule_end", "capsule_radius", "feet",
     "ankle_height", "height_m", "walk", "jog",
 )  # fmt: skip
-HAIR = ((28, 22, 20), (58, 40, 30), (96, 66, 42), (148, 112, 70), (196, 164, 112), (122, 58, 36), (168, 166, 164))
-IRIS = ((70, 52, 40), (58, 44, 36), (92, 74, 50), (84, 102, 82), (88, 110, 130))
-SHOES = ((232, 230, 226), (44, 44, 48), (120, 84, 58), (196, 92, 72), (70, 92, 126))
-CAP = 0.08
-"""How often a cap covers the hair."""
+HAIR: tuple[Color, ...] = (
+    (32, 27, 26), (62, 44, 34), (98, 68, 45), (150, 114, 74), (198, 166, 116), (128, 64, 40),
+)  # fmt: skip
+GREY: Color = (176, 173, 170)
+IRIS: tuple[Color, ...] = ((70, 52, 40), (58, 44, 36), (92, 74, 50), (84, 102, 82), (88, 110, 130))
+STYLES = {
+    "female": ("bob", "long", "tail", "bun", "waves", "curls", "tousled", "scarf"),
+    "male": ("crop", "short", "swept", "tousled", "curls", "receding"),
+}
+"""Hairstyles that somebody has, by whether their phenotype is more female than male."""
+OUTFIT_WEIGHTS = {"casual": 3, "smart": 2, "knit": 2, "sport": 2, "summer": 1, "dress": 2, "pyjamas": 1}
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -35,16 +46,13 @@ def is_random(name: str) -> bool:
     return name.startswith(PREFIX) and name.removeprefix(PREFIX).isdecimal()
 
 
-def random_arrays(
-    name: str, bodies: Sequence[str], read: Callable[[str], Arrays], regions: Sequence[str], planes: Any
-) -> dict[str, Any]:
+def random_arrays(name: str, bodies: Sequence[str], read: Callable[[str], Arrays], planes: Any) -> dict[str, Any]:
     """The arrays of a baked file for ``random:SEED``.
 
     Args:
         name: The name.
-        bodies: Names of the built-in bodies, sorted.
+        bodies: Names of the bodies to blend, sorted.
         read: Returns the arrays of the body with a name; called for the two that are blended.
-        regions: Names of the regions that have a colour each.
         planes: The functions that store vertices as planes of bytes and read them: ``(to_planes, from_planes)``.
     """
     rng = np.random.Generator(np.random.Philox(int(name.removeprefix(PREFIX))))
@@ -56,52 +64,52 @@ def random_arrays(
         mixed[key] = (1 - share) * one[key].astype(np.float64) + share * other[key].astype(np.float64)
     u, _, v = np.linalg.svd(mixed["bind_rotation"])
     mixed["bind_rotation"] = u @ v  # the rotations next to the blended matrices
-    for key in ("full_delta", "lod_delta"):
-        blend = (1 - share) * from_planes(one[key]) + share * from_planes(other[key])
-        mixed[key] = to_planes(np.rint(blend).astype(np.int16))
-    index = {region: k for k, region in enumerate(regions)}
-    skins = [body["region_colors"][index["skin"]].astype(np.float64) for body in (one, other)]
-    bare = {
-        region
-        for region, everybody in (("sleeves", False), ("trouser legs", False), ("hair sides", True))
-        if (all if everybody else any)(
-            (body["region_colors"][index[region]] == skin).all() for body, skin in zip((one, other), skins, strict=True)
-        )
-    }  # what one of them shows bare has a hem there, which would be seen through long sleeves
-    skin = (1 - share) * skins[0] + share * skins[1] + rng.normal(0, 5, 3)
-    colors = _outfit(rng, np.clip(skin, 40, 245), bare)
-    mixed["region_colors"] = np.array([colors[region] for region in regions], np.uint8)
+    blend = (1 - share) * from_planes(one["base_delta"]) + share * from_planes(other["base_delta"])
+    mixed["base_delta"] = to_planes(np.rint(blend).astype(np.int16))
+    parents = [json.loads(str(body["phenotype"])) for body in (one, other)]
+    traits = {key: (1 - share) * parents[0][key] + share * parents[1][key] for key in ("gender", "age")}
+    looks = [read_look(str(body["look"])) for body in (one, other)]
+    mixed["phenotype"] = np.array(
+        json.dumps({k: (1 - share) * v + share * parents[1][k] for k, v in parents[0].items()})
+    )
+    mixed["look"] = np.array(_look(rng, looks, share, **traits).to_json())
     mixed["name"] = np.array(name)
     return mixed
 
 
-def _outfit(rng: np.random.Generator, skin: NDArray[np.float64], bare: Collection[str]) -> dict[str, Any]:
-    """Colours of the regions (sRGB, 0..255), of which some are bare."""
-    shirt = _cloth(rng, saturation=(0.1, 0.55), value=(0.4, 0.85))
-    trousers = _cloth(rng, saturation=(0.05, 0.4), value=(0.2, 0.6))
-    hair = np.array(HAIR[rng.integers(len(HAIR))], np.float64)
-    if skin.mean() < 130:  # fair hair is rare above dark skin
-        hair = np.array(HAIR[rng.integers(2)], np.float64)
-    cap = rng.random() < CAP
-    return {
-        "skin": skin,
-        "shirt": shirt,
-        "sleeves": skin if "sleeves" in bare else shirt,
-        "trousers": trousers,
-        "trouser legs": skin if "trouser legs" in bare else trousers,
-        "socks": (226, 226, 222),
-        "shoes": SHOES[rng.integers(len(SHOES))],
-        "soles": (226, 223, 216),
-        "hair": _cloth(rng, saturation=(0.2, 0.6), value=(0.3, 0.8)) if cap else hair,
-        "hair sides": skin if "hair sides" in bare else hair,
-        "brows": 0.72 * hair + 0.28 * skin,
-        "sclera": (238, 234, 228),
-        "iris": IRIS[rng.integers(len(IRIS))],
-    }
+def _look(rng: np.random.Generator, parents: Sequence[Look], share: float, *, gender: float, age: float) -> Look:
+    """Skin between that of both parents; hair, face and clothes by chance, as they go with gender and age, 0..1."""
+    one, other = (np.array(look.complexion.skin, np.float64) for look in parents)
+    skin = np.clip((1 - share) * one + share * other + rng.normal(0, 5, 3), 40, 245)
+    dark = skin.mean() < 135  # fair hair is rare above dark skin
+    hair = np.array(HAIR[rng.integers(2 if dark else len(HAIR))], np.float64)
+    grey = np.clip((age - 0.74) / 0.14 + rng.normal(0, 0.15), 0, 1)
+    hair = (1 - grey) * hair + grey * np.array(GREY) + rng.normal(0, 4, 3)
+    female = rng.random() < np.clip(1.6 * (gender - 0.5) + 0.5, 0, 1)
+    styles = [s for s in STYLES["female" if female else "male"] if s != "receding" or grey > 0.25 or rng.random() < 0.2]
+    outfits = {name: weight for name, weight in OUTFIT_WEIGHTS.items() if female or not OUTFITS[name].tights}
+    names = sorted(outfits)
+    weights = np.array([outfits[n] for n in names], np.float64)
+    outfit = names[int(rng.choice(len(names), p=weights / weights.sum()))]
+    style = styles[int(rng.integers(len(styles)))]
+    scarf: dict[str, Color] = {}
+    if style == "scarf":
+        scarf["scarf"] = _rgb(np.array([90, 100, 130]) + rng.uniform(-40, 60, 3))
+    palette = int(rng.integers(len(OUTFITS[outfit].colors)))
+    beard = not female and rng.random() < 0.3
+    stubble = 0.0 if female else float(rng.uniform(0, 0.5))
+    return replace(
+        parents[0],
+        complexion=Complexion(
+            skin=_rgb(skin), hair=_rgb(np.clip(hair, 16, 235)), iris=IRIS[rng.integers(2 if dark else len(IRIS))],
+            lips=float(rng.uniform(0.35, 0.7) if female else rng.uniform(0.15, 0.35)),
+            blush=float(rng.uniform(0.1, 0.2) if dark else rng.uniform(0.2, 0.45)),
+            lines=float(np.clip((age - 0.74) * 2.2, 0, 0.7)), stubble=stubble,
+        ),
+        hair=style, beard=bool(beard), outfit=outfit, palette=palette, colors=scarf,
+    )  # fmt: skip
 
 
-def _cloth(
-    rng: np.random.Generator, *, saturation: tuple[float, float], value: tuple[float, float]
-) -> NDArray[np.float64]:
-    color = colorsys.hsv_to_rgb(rng.random(), rng.uniform(*saturation), rng.uniform(*value))
-    return 255 * np.array(color)
+def _rgb(values: NDArray[np.float64]) -> Color:
+    red, green, blue = (int(round(v)) for v in values)
+    return red, green, blue

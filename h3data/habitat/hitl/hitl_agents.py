@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.bodies.motion.habitat_humanoid import BASE_HEIGHT_M, HABITAT_JOINTS
-from h3data.bodies.people.humanoid_file import humanoid_names
+from h3data.bodies.people.humanoid_file import ADULTS
 from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.geometry import Array, ground_pose, quat_rotate, quat_sign_continuous
 from h3data.habitat.hitl.walk_synthesis import walk_columns
@@ -170,7 +170,7 @@ def _fitting_body(roots: Array, joints: Array, floor: Array) -> str:
         low = body.joint_matrices_free(roots[rows], joints[rows])[:, feet, 1, 3].min(axis=1)
         return abs(float(np.median(low - floor[rows])) - float(rest))
 
-    return min(humanoid_names(), key=gap)
+    return min(ADULTS, key=gap)
 
 
 def _walking_person(

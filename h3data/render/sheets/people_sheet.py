@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.people.humanoid import Humanoid
+from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array, ground_pose, pose_to_matrix, transform_points
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import painted
@@ -18,6 +19,7 @@ from h3data.render.scene import RenderInstance, RenderScene
 SPACING_M, STRIDE_SPACING_M, ROW_M, HFOV_DEG = 0.95, 1.25, 2.05, 16.0
 WALL = (232, 233, 236)
 FLOOR_SPAN_M = 14.0
+FACE_HFOV_DEG, FACE_DISTANCE_M, FACE_TURN_DEG = 11.0, 2.0, 14.0
 
 
 def sheet_picture(
@@ -28,6 +30,29 @@ def sheet_picture(
     heading, places = float(np.radians(heading_deg)), min(columns, len(people))
     standing = [[(body, *body.clip_pose([0], [0.0])) for body in row] for row in rows]
     return np.concatenate([lined_up(row, heading, lod, places, width) for row in standing])
+
+
+def face_picture(
+    people: Sequence[Humanoid], *, lod: bool = False, columns: int = 6, width: int = 1600
+) -> NDArray[np.uint8]:
+    """Heads from the front and a little from the side, in rows of ``columns``, RGB [H, W, 3]."""
+    size = width // min(columns, len(people))
+    turn = np.radians(FACE_TURN_DEG)
+    pictures = []
+    for body in people:
+        base = ground_pose(np.array([[0.0, 0.0]]), np.array([-np.pi / 2]))
+        joints = body.joint_matrices(base, *body.clip_pose([0], [0.0]))
+        eyes = joints[0, [JOINT_INDEX["left_eye_smplhf"], JOINT_INDEX["right_eye_smplhf"]], :3, 3].mean(axis=0)
+        target = eyes - [0.0, 0.035, 0.08]
+        mesh = _skinned(body, joints, lod)
+        renderer = Renderer(RenderScene([mesh], [RenderInstance(mesh=0, matrix=np.eye(4))]))
+        pose = look_at(target + FACE_DISTANCE_M * np.array([np.sin(turn), 0.02, np.cos(turn)]), target)
+        camera = pinhole(size, size, hfov_deg=FACE_HFOV_DEG, pose=pose)
+        pictures.append(renderer.render(camera, outputs=("rgb",), samples=4)["rgb"])
+    blank = np.full_like(pictures[0], 255)
+    rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
+    full = [row + [blank] * (min(columns, len(people)) - len(row)) for row in rows]
+    return np.concatenate([np.concatenate(row, axis=1) for row in full])
 
 
 def walk_picture(
@@ -70,15 +95,7 @@ def lined_up(
         for prop in props[k] if props else ():
             vertices = transform_points(pose_to_matrix(base[0]), prop.vertices).astype(np.float32)
             meshes.append(Mesh(vertices=vertices, faces=prop.faces, colors=prop.colors))
-        rest = body.lod_mesh if lod else body.mesh
-        meshes.append(
-            Mesh(
-                vertices=np.ascontiguousarray(body.skin(joints, lod=lod)[0]),
-                faces=rest.faces,
-                colors=rest.colors,
-                normals=np.ascontiguousarray(body.skin_normals(joints, lod=lod)[0]),
-            )
-        )
+        meshes.append(_skinned(body, joints, lod))
     meshes.append(floor_mesh(WALL))
     renderer = Renderer(RenderScene(meshes, [RenderInstance(mesh=k, matrix=np.eye(4)) for k in range(len(meshes))]))
     span = places * spacing
@@ -87,6 +104,17 @@ def lined_up(
     middle = row_m / 2 - 0.04
     pose = look_at((0.0, middle + 0.06 * distance, distance), (0.0, middle, 0.0))
     return renderer.render(pinhole(width, height, hfov_deg=HFOV_DEG, pose=pose), outputs=("rgb",), samples=4)["rgb"]
+
+
+def _skinned(body: Humanoid, joints: Array, lod: bool) -> Mesh:
+    """A body in a posture as one mesh."""
+    rest = body.lod_mesh if lod else body.mesh
+    return Mesh(
+        vertices=np.ascontiguousarray(body.skin(joints, lod=lod)[0]),
+        faces=rest.faces,
+        colors=rest.colors,
+        normals=np.ascontiguousarray(body.skin_normals(joints, lod=lod)[0]),
+    )
 
 
 def floor_mesh(color: tuple[int, int, int]) -> Mesh:

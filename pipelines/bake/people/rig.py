@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bake.people.anny_shape import RawShape
-from h3data.bodies.people.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX, PARENTS
+from h3data.bodies.people.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX, JOINT_NAMES, PARENTS
 from h3data.geometry import Array, normalized
 
 Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -143,3 +143,22 @@ def smallest_rotation(start: Array, end: Array) -> Array:
     x, y, z = np.cross(a, b)
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + skew + skew @ skew / (1 + a @ b)
+
+
+STOOP = {"spine1": 0.08, "spine2": 0.30, "spine3": 0.66, "neck": 1.0, "head": 1.25}
+"""How far each joint of the trunk comes forward in a stoop; arms go with the shoulders, at 0.8."""
+
+
+def stooped(rig: Rig, amount_m: float) -> Rig:
+    """The rig with its trunk bent: joints and skin come forward, the neck by this much, and the head sinks by a fifth of it."""
+    if not amount_m:
+        return rig
+    share = np.zeros(JOINT_COUNT)
+    for joint, parent in enumerate(PARENTS):
+        name = JOINT_NAMES[joint]
+        arm = name.endswith(("collar", "shoulder"))
+        share[joint] = STOOP.get(name, 0.8 if arm else share[parent] if parent >= 0 else 0.0)
+    for name in ("left_hip", "right_hip"):
+        share[JOINT_INDEX[name]] = 0.0
+    move = amount_m * share[:, None] * np.array([0, -0.2, 1.0])
+    return replace(rig, vertices=rig.vertices + rig.weights @ move, positions=rig.positions + move)

@@ -24,6 +24,9 @@ class BodiesShow:
         h3data bodies show
         h3data bodies show -o bodies.png
         h3data bodies show female_1 me.npz -o two.png --view side
+        h3data bodies show male_0 --outfits -o outfits.png
+        h3data bodies show --outfit dress female_0 child_0 -o dresses.png --view walk
+        h3data bodies show -o faces.jpg --view face
         h3data bodies show male_0 -o walk.png --view walk --speed 1.3
         h3data bodies show female_2 male_1 -o reach.png --view reach
     """
@@ -32,9 +35,13 @@ class BodiesShow:
     """Built-in bodies or .npz files (default: all built-in bodies)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """PNG or JPEG file to write."""
-    view: Literal["front", "back", "side", "walk", "reach"] = "front"
-    """Direction of view; or walk: one gait cycle from the right; or reach: reaching poses, and the first body picking up
-    and placing a mug."""
+    view: Literal["front", "back", "side", "face", "walk", "reach"] = "front"
+    """Direction of view; or face: heads only; or walk: one gait cycle from the right; or reach: reaching poses, and the
+    first body picking up and placing a mug."""
+    outfit: str | None = None
+    """What everybody wears instead of their own clothes: casual, smart, knit, sport, pyjamas, dress or summer."""
+    outfits: bool = False
+    """Show everybody in every outfit, a row each."""
     speed: float = 1.3
     """Walking speed for --view walk [m/s]."""
     lod: bool = False
@@ -47,7 +54,8 @@ class BodiesShow:
     def run(self) -> Outcome:
         from h3data.render.image_files import write_image
 
-        people = [load_humanoid(name) for name in self.names or humanoid_names()]
+        names = self._names()
+        people = [load_humanoid(name) for name in names]
         rows = [_row(body) for body in people]
         lines = [
             f"{r['name']:<12} {r['height_m']:.2f} m  {r['vertices']:>6} vertices, low detail {r['lod_vertices']}"
@@ -68,17 +76,30 @@ class BodiesShow:
         data = {"file": str(target), "width": width, "height": height, "bodies": rows}
         return Outcome(text=f"wrote {target} ({width}x{height}, {len(people)} bodies)", data=data)
 
+    def _names(self) -> list[str]:
+        from h3data.bodies.people.look.wardrobe import OUTFITS, SEPARATOR, split_outfit
+
+        names = list(self.names or humanoid_names())
+        if self.outfits:
+            return [f"{split_outfit(name)[0]}{SEPARATOR}{outfit}" for name in names for outfit in OUTFITS]
+        return [f"{split_outfit(name)[0]}{SEPARATOR}{self.outfit}" for name in names] if self.outfit else names
+
     def _render(self, people: list[Humanoid]) -> Any:
-        from h3data.render.sheets.people_sheet import sheet_picture, walk_picture
+        from h3data.bodies.people.look.wardrobe import OUTFITS
+        from h3data.render.sheets.people_sheet import face_picture, sheet_picture, walk_picture
 
         if self.view == "walk":
             strips = [walk_picture(body, self.speed, lod=self.lod, width=self.width) for body in people]
             return np.concatenate(strips)
+        if self.view == "face":
+            return face_picture(people, lod=self.lod, width=self.width)
         if self.view == "reach":
             from h3data_pipelines.assets.reaching import reach_picture
 
             return reach_picture(people, lod=self.lod, width=self.width)
-        return sheet_picture(people, heading_deg=HEADINGS_DEG[self.view], lod=self.lod, width=self.width)
+        columns = len(OUTFITS) if self.outfits else 6
+        heading = HEADINGS_DEG[self.view]
+        return sheet_picture(people, heading_deg=heading, lod=self.lod, columns=columns, width=self.width)
 
 
 @dataclass(frozen=True)
@@ -90,7 +111,8 @@ class BodiesBake:
 
     Examples:
         h3data bodies bake -o me.npz --gender 0.3 --stature 1.82 --weight 0.6 --age 0.8
-        h3data bodies bake -o short.npz --gender 1 --stature 1.58 --skin 150,100,74 --shirt 60,120,90 --shorts
+        h3data bodies bake -o short.npz --gender 1 --stature 1.58 --skin 150,100,74 --hairstyle bun --outfit dress
+        h3data bodies bake -o child.npz --age 0.3 --stature 1.2 --hairstyle tousled
         h3data bodies bake -o smplx.npz --smplx SMPLX_NEUTRAL.npz --betas 0.5 --betas -1.2
     """
 
@@ -99,7 +121,7 @@ class BodiesBake:
     gender: float = 0.5
     """From 0 (male) to 1 (female)."""
     age: float = 0.67
-    """From 0.6 (young adult) to 1 (old)."""
+    """0.3 (child), 0.67 (young adult) to 1 (old)."""
     stature: float = 1.70
     """Standing height [m]."""
     weight: float = 0.45
@@ -112,20 +134,18 @@ class BodiesBake:
     """Share of Asian features."""
     skin: str = "200,150,118"
     """Skin colour (sRGB)."""
-    shirt: str = "86,128,160"
-    """Colour of the shirt (sRGB)."""
-    trousers: str = "64,70,84"
-    """Colour of the trousers (sRGB)."""
-    shoes: str = "90,86,84"
-    """Colour of the shoes (sRGB)."""
     hair: str = "60,44,34"
     """Colour of the hair (sRGB)."""
-    hairline: Literal["over ears", "short"] = "over ears"
-    """Length of the hair."""
-    long_sleeves: bool = False
-    """A long-sleeved shirt instead of a T-shirt."""
-    shorts: bool = False
-    """Shorts instead of long trousers."""
+    hairstyle: Literal[
+        "crop", "short", "swept", "tousled", "bob", "long", "tail", "bun", "curls", "waves", "receding", "scarf"
+    ] = "short"
+    """Cut of the hair, or a headscarf over it."""
+    beard: bool = False
+    """A short full beard."""
+    outfit: Literal["casual", "smart", "knit", "sport", "pyjamas", "dress", "summer"] = "casual"
+    """Clothes; any other outfit can be named later: me.npz:dress."""
+    palette: int = 0
+    """Which of an outfit's sets of colours."""
     smplx: Path | None = None
     """Your own licensed SMPL-X model file (SMPLX_NEUTRAL.npz); of the options above, only --skin applies to it."""
     betas: tuple[float, ...] = ()
@@ -138,8 +158,8 @@ class BodiesBake:
             raise InputError(f"Expected a file name that ends in .npz, got: {self.out}")
         limits = {
             "gender": (0, 1),
-            "age": (0.6, 1),
-            "stature": (1.4, 2.1),
+            "age": (0.25, 1),
+            "stature": (1.0, 2.1),
             "weight": (0, 1),
             "muscle": (0, 1),
             "african": (0, 1),
@@ -148,7 +168,7 @@ class BodiesBake:
         for name, (low, high) in limits.items():
             if not low <= getattr(self, name) <= high:
                 raise InputError(f"--{name} must be from {low} to {high}, got {getattr(self, name)}.")
-        colors = {name: _color(name, getattr(self, name)) for name in ("skin", "shirt", "trousers", "shoes", "hair")}
+        colors = {name: _color(name, getattr(self, name)) for name in ("skin", "hair")}
         target = claim_file(self.out, force=self.force)
         try:
             self._bake(target, colors)
@@ -168,23 +188,17 @@ class BodiesBake:
 
             bake_smplx(self.smplx, target, betas=self.betas, color=colors["skin"])
             return
-        from bake.people.designs import BodySpec, Outfit, phenotype
+        from bake.people.designs import BodySpec, look, phenotype
         from bake.people.humanoid import bake_bodies
 
         parameters = phenotype(
             self.gender, age=self.age, muscle=self.muscle, weight=self.weight, african=self.african, asian=self.asian
         )
-        outfit = Outfit(
-            skin=colors["skin"],
-            shirt=colors["shirt"],
-            trousers=colors["trousers"],
-            shoes=colors["shoes"],
-            hair=colors["hair"],
-            hairline=self.hairline,
-            long_sleeves=self.long_sleeves,
-            shorts=self.shorts,
-        )
-        spec = BodySpec(phenotype=parameters, stature_m=self.stature, outfit=outfit)
+        looks = look(
+            colors["skin"], colors["hair"], self.hairstyle, self.outfit, self.palette, beard=self.beard,
+            lines=max(0.0, min(1.0, 2.2 * (self.age - 0.74))),
+        )  # fmt: skip
+        spec = BodySpec(phenotype=parameters, stature_m=self.stature, look=looks)
         bake_bodies({target.stem: spec}, target.parent)
 
 

@@ -61,7 +61,8 @@ class Evaluate:
     seed: int = 0
     """Everything random follows from it."""
     human: str | None = None
-    """Body of the person: a built-in one; any: each episode samples one; random: each makes one (default: female_0)."""
+    """Body of the person: a built-in one, with an outfit as in female_0:dress; any: each episode samples one of the twelve
+    adults; random: each makes one (default: female_0)."""
     motion: Path | None = None
     """How people walk, as of h3data generate."""
     human_walk: WalkOption | None = None

@@ -119,8 +119,9 @@ class Generate:
     robot: str | None = None
     """Body of each agent named robot: a built-in one, a URDF, or a folder with robot.toml (default: quad_arm)."""
     human: str | None = None
-    """Body of each agent named human: a built-in one; random:SEED; an .npz file; any: each episode samples one of the
-    built-in ones; random: each makes people of its own, in wander each person (default: the episode's, else female_0)."""
+    """Body of each agent named human: a built-in one, with an outfit as in female_0:dress; random:SEED; an .npz file; any: each
+    episode samples one of the twelve adults; random: each makes people of its own, in wander each person (default: the
+    episode's, else female_0)."""
     motion: Path | None = None
     """How people walk: as in a motion file, one of h3data motion import, AMASS, Habitat or BVH (docs/motion.md). It is kept in
     each recording."""

