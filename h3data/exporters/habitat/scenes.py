@@ -33,7 +33,7 @@ from h3data.scene.scene_json import asset_record
 
 _log = logging.getLogger(__name__)
 
-STAGE_CATEGORIES = frozenset(("wall", "floor", "ceiling", "door", "window", "trim", "stage"))
+STAGE_CATEGORIES = frozenset(("wall", "floor", "ceiling", "door", "window", "trim", "stairs", "railing", "stage"))
 """Static instances of these categories are the building: Habitat's stage. All others become objects."""
 
 _AGENT_HEIGHT_M, _AGENT_RADIUS_M = 1.41, 0.25
