@@ -87,6 +87,16 @@ def step_at(heights, x, z):
 
 
 @kernel_part()
+def way_to_stairs(heights, x, z):
+    """Distance [m] along a stairwell from (x, z) to its stairs; 0 on them, infinite anywhere else."""
+    k, _, place = step_at(heights, x, z)
+    if k < 0:
+        return math.inf
+    beyond = max(-place, place - heights[k, STEPS], 0.0)
+    return beyond * abs(heights[k, END] - heights[k, START]) / heights[k, STEPS]
+
+
+@kernel_part()
 def tread_at(heights, floor_y, x, z):
     """Height [m] of what a foot at (x, z) stands on: a tread of the stairs, or the floor."""
     k, tread, _ = step_at(heights, x, z)
@@ -107,13 +117,45 @@ def nose_at(heights, floor_y, x, z):
     return max(level, heights[k, LOW] + rise * min(place + 0.5, heights[k, STEPS])) if place > 0.0 else level
 
 
+_RAMPS, _TREADS, _NOSES = range(3)
+
+
 @kernel()
-def _all_heights(heights, floor_y, points, treads, out):
+def _all_heights(heights, floor_y, points, what, out):
     for n in range(len(points)):
-        if treads:
-            out[n] = tread_at(heights, floor_y, points[n, 0], points[n, 1])
+        x, z = points[n, 0], points[n, 1]
+        if what == _TREADS:
+            out[n] = tread_at(heights, floor_y, x, z)
+        elif what == _NOSES:
+            out[n] = nose_at(heights, floor_y, x, z)
         else:
-            out[n] = height_at(heights, floor_y, points[n, 0], points[n, 1])
+            out[n] = height_at(heights, floor_y, x, z)
+
+
+@kernel()
+def _off_risers(heights, points, gap):
+    for n in range(len(points)):
+        k, tread, place = step_at(heights, points[n, 0], points[n, 1])
+        if k < 0:
+            continue
+        going = (heights[k, END] - heights[k, START]) / heights[k, STEPS]
+        to = place
+        if tread > 0:
+            to = max(to, tread - 0.5 + gap / abs(going))
+        if tread < heights[k, STEPS]:
+            to = min(to, tread + 0.5 - gap / abs(going))
+        points[n, 0 if heights[k, AXIS] == 0.0 else 1] += (to - place) * going
+
+
+def _measured(
+    heights: NDArray[np.float64], floor_y: float, points: ArrayLike, what: int
+) -> NDArray[np.float64]:
+    places = np.asarray(points, np.float64)
+    if not len(heights):
+        return np.full(places.shape[:-1], floor_y)
+    out = np.empty(places.shape[:-1])
+    _all_heights(heights, float(floor_y), np.ascontiguousarray(places.reshape(-1, 2)), what, out.reshape(-1))
+    return out
 
 
 def floor_heights(
@@ -127,9 +169,17 @@ def floor_heights(
         points: Places; NaN gives the height of some room.
         treads: Whether the height of the tread is meant, on which a foot stands there.
     """
-    places = np.asarray(points, np.float64)
-    if not len(heights):
-        return np.full(places.shape[:-1], floor_y)
-    out = np.empty(places.shape[:-1])
-    _all_heights(heights, float(floor_y), np.ascontiguousarray(places.reshape(-1, 2)), treads, out.reshape(-1))
-    return out
+    return _measured(heights, floor_y, points, _TREADS if treads else _RAMPS)
+
+
+def nose_heights(heights: NDArray[np.float64], floor_y: float, points: ArrayLike) -> NDArray[np.float64]:
+    """Heights [...] [m] of the plane through the noses of the steps at places (x, z) [..., 2]; of the floor off the stairs."""
+    return _measured(heights, floor_y, points, _NOSES)
+
+
+def off_risers(heights: NDArray[np.float64], points: ArrayLike, *, gap_m: float = 0.05) -> NDArray[np.float64]:
+    """Places (x, z) [N, 2] moved along the stairs so that they are at least ``gap_m`` from every riser."""
+    places = np.array(points, np.float64)
+    if len(heights):
+        _off_risers(heights, places, gap_m)
+    return places

@@ -109,7 +109,7 @@ SENSORS: Mapping[str, Sensor] = {
         lambda m: egomotion(m.before.xz, m.before.heading, m.now.xz, m.now.heading), [-FAST] * 3, [FAST] * 3
     ),
     "localization": Sensor(
-        lambda m: localization(m.now.xz, m.now.heading, m.world.floor_y),
+        lambda m: localization(m.now.xz, m.now.heading, m.world.heights(m.now.xz)),
         [-FAR_M] * 3 + [-np.pi],
         [FAR_M] * 3 + [np.pi],
     ),

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies.robots.robot import Robot, RobotLeg
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, heading_from_quat, pose_to_matrix, transform_points
+from h3data.scene.floor_heights import LEVEL, floor_heights, nose_heights, off_risers
 
 STRIDE_M = 0.7
 """Longest distance covered in one cycle of a leg."""
@@ -34,6 +35,8 @@ SETTLE_STEPS = 4
 """Feet come down within so many steps of a stop."""
 SETTLE_M = 0.05
 """Feet are lifted fully where the base covers at least this distance in the steps around."""
+NOSE_CLEAR_M, OVER_SHARE = 0.02, 0.25
+"""A foot passes over the noses of steps at this height, but at the beginning and the end of its swing."""
 JUMP_M = 0.5
 """A base that moves farther in one step was put there: the trot begins anew."""
 MAX_STRETCH = 0.999
@@ -43,7 +46,12 @@ _BLOCK_STEPS = 4096
 
 
 def trot(
-    robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike, *, even_strides: bool = False
+    robot: Robot,
+    base_pose: ArrayLike,
+    joint_pos: ArrayLike,
+    *,
+    even_strides: bool = False,
+    heights: NDArray[np.float64] = LEVEL,
 ) -> NDArray[np.float64]:
     """Joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
 
@@ -52,6 +60,7 @@ def trot(
         base_pose: Agent roots at consecutive steps, shape [T, 7] [m]; NaN where the robot is not there.
         joint_pos: Its joint positions, shape [T, J].
         even_strides: Strides of `STRIDE_M` at every speed, as recordings before schema 1.5 were shown.
+        heights: How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs.
     """
     bases, out = np.asarray(base_pose, np.float64), np.array(joint_pos, np.float64)
     if bases.ndim != 2 or bases.shape[1] != 7 or out.shape != (len(bases), len(robot.joint_names)):
@@ -78,7 +87,7 @@ def trot(
                 rows = np.arange(start, min(start + _BLOCK_STEPS, len(track)))
                 to_base = np.linalg.inv(pose_to_matrix(track[rows]) @ robot.to_base)
                 most, tuck = (EVEN_LIFT_M, 0.0) if even_strides else (LIFT_M, TUCK)
-                places = _feet(track, heading, way, cycles, feet, rows, most, tuck)
+                places = _feet(track, heading, way, cycles, feet, rows, most, tuck, heights)
                 spots = np.einsum("tij,tlj->tli", to_base[:, :3, :3], places) + to_base[:, None, :3, 3]
                 for k, leg in enumerate(robot.legs):
                     out[first + rows[:, None], leg.columns] = leg_angles(robot, leg, spots[:, k])
@@ -119,6 +128,7 @@ def _feet(
     rows: NDArray[np.integer],
     most: float,
     tuck: float,
+    heights: NDArray[np.float64],
 ) -> Array:
     """Places of the feet in the world at some rows of a base track, [len(rows), L, 3], from their places at rest [L, 3]."""
     edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
@@ -134,7 +144,11 @@ def _feet(
             """Where the foot stands in a cycle; before the first step it stands as at rest."""
             middle = np.where(number <= begin, 0.0, number + DUTY / 2 - begin)
             x, y, z, turn = (np.interp(middle, cycles, v) for v in (*bases[:, :3].T, heading))
-            return transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]
+            at = transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]
+            if len(heights):
+                at[:, ::2] = off_risers(heights, at[:, ::2])
+                at[:, 1] = foot[1] + floor_heights(heights, 0.0, at[:, ::2], treads=True)
+            return at
 
         lifts_off = np.maximum(cycle + DUTY, begin)
         swing = np.clip((place - lifts_off) / (cycle + 1 - lifts_off), 0, 1)
@@ -142,6 +156,10 @@ def _feet(
         out[:, k] = planted(cycle) * (1 - weight) + planted(cycle + 1) * weight
         rest = transform_points(roots, foot[None])[:, 0]
         out[:, k] += (tuck * np.sin(np.pi * swing) ** 2)[:, None] * (rest - out[:, k])
+        if len(heights):
+            noses = foot[1] + NOSE_CLEAR_M + nose_heights(heights, 0.0, out[:, k, ::2])
+            over = np.clip(np.minimum(swing, 1 - swing) / OVER_SHARE, 0, 1)
+            out[:, k, 1] += over * np.maximum(noses - out[:, k, 1], 0.0)
         out[:, k, 1] += lift * np.sin(np.pi * swing)
     return out
 

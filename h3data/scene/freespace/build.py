@@ -182,14 +182,15 @@ def build_from_walkable(
 
 def without_stairs(floor: FloorMap) -> FloorMap:
     """The same floor for what cannot climb: flights of stairs are obstacles, so storeys are islands."""
-    flights = [shapely.box(*flight_rectangle(row)) for row in floor.heights if row[STEPS]]
+    heights = floor.heights.copy()
+    flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
+    heights[:, STEPS] = 0  # nobody sets a foot on them
     free = floor.polygon.difference(shapely.union_all(flights).buffer(floor.radius_m, quad_segs=ARC_SEGMENTS))
     polygon = MultiPolygon([p for p in polygon_parts(free.simplify(SMOOTH_M)) if p.area >= ISLAND_MIN_M2])
     nx, nz = floor.sdf.shape
     outside = [-sdf_from_edges(area_edges(MultiPolygon([flight]))[0], floor.origin, floor.cell_m, nx, nz) for flight in flights]
-    return replace(
-        floor, key="", sdf=np.minimum.reduce([floor.sdf, *outside]), polygon=polygon, graph=build_graph(polygon)
-    )
+    sdf = np.minimum.reduce([floor.sdf, *outside])
+    return replace(floor, key="", sdf=sdf, polygon=polygon, graph=build_graph(polygon), heights=heights)
 
 
 def scene_triangles(scene: Scene) -> NDArray[np.float64]:

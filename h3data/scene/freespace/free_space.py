@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, sloped_pose
-from h3data.scene.floor_heights import floor_heights
+from h3data.scene.floor_heights import STEPS, floor_heights
 from h3data.scene.freespace import store
 from h3data.scene.freespace._geodesic import first_leg, geodesic_many, path_pair
 from h3data.scene.freespace._lattice import Lattice, build_lattice, lattice_step, quick_distance_many
@@ -107,11 +107,16 @@ class FreeSpace(FloorMap):
             return ground_pose(xz, heading_rad, self.floor_y)
         return sloped_pose(self.height_at, xz, heading_rad, pitch_over_m)
 
+    @property
+    def has_stairs(self) -> bool:
+        """Whether one may walk from one storey to another."""
+        return bool(self.heights[:, STEPS].any())
+
     @cached_property
     def without_stairs(self) -> FreeSpace:
         """The same for agents that cannot climb: flights of stairs are obstacles, each storey is an island. Level floors are
         their own."""
-        return FreeSpace.from_map(without_stairs(self)) if len(self.heights) else self
+        return FreeSpace.from_map(without_stairs(self)) if self.has_stairs else self
 
     # --- distance to obstacles ------------------------------------------------------------------------------------------
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:

@@ -146,7 +146,7 @@ class HumanAgent:
         own, human = self.own, self.body
         self.base = ground_pose(own.xz, own.heading, self.free.floor_y)
         if action == "nav":
-            self.frames = body_frames(human, own, self.free.floor_y)
+            self.frames = body_frames(human, own, self.free)
         else:
             reached = reach_poses(human, self._hands, "right")
             self.frames = human.joint_matrices(self.base, reached.quats, reached.pelvis)
