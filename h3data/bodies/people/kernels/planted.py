@@ -20,12 +20,19 @@ from typing import NamedTuple
 import numpy as np
 
 from h3data.bodies.people.kernels.legs import LegMeasures, lowest, sinking, write_legs
-from h3data.bodies.people.kernels.steps import beside_steps, on_a_tread, over_steps, tread_length
+from h3data.bodies.people.kernels.steps import (
+    beside_steps,
+    on_a_tread,
+    over_steps,
+    tread_length,
+    tread_of,
+    under_foot,
+)
 from h3data.bodies.people.kernels.tuple_math import from_vector, inverse, multiply, nlerp, put, row3, row4, turned
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
-from h3data.scene.floor_heights import height_at, step_at, tread_at
+from h3data.scene.floor_heights import height_at, step_at
 from h3data.scene.freespace._sdf import sample_sdf, sdf_gradient
 
 # columns of a state
@@ -85,6 +92,10 @@ STRETCHED = 0.994
 """A leg is stretched to this share of its length: straighter knees would snap."""
 LETS_GO = 0.4
 """Over this share of its swing the pelvis stops minding whether a foot is within reach."""
+CROUCH_M, CROUCH_MPS = 0.06, 0.2
+"""On stairs the pelvis is lower by this much, for the foot below; it gets there at this speed."""
+OVER_BY = 0.8
+"""By this share of a swing between treads the foot is over its place."""
 DRAWS = 0.45
 """On stairs the pelvis minds a swinging foot again from this share of its swing on."""
 HURRY_MPS = 0.8
@@ -271,10 +282,13 @@ def _beside_things(table, state, foot, left, ahead, yaw):
 
 
 @kernel_part()
-def _lands_at(table, k, f, state, foot, left, ahead):
-    """Where in the world a swinging foot will land that lands off the gait by so much to the left and ahead: (x, z)."""
+def _lands_at(table, k, f, state, foot, left, ahead, gone):
+    """Where in the world a swinging foot will land that lands off the gait by so much to the left and ahead, if the phase is
+    ``gone`` cycles behind the root: (x, z)."""
     side = table.half_width if foot == 0 else -table.half_width
-    onward = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (1.0 - _own_phase(state[PHASE], foot))
+    onward = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (
+        1.0 - _own_phase(state[PHASE], foot) - gone
+    )
     onward += _gait_ahead(table, k, f, state[SPEED], 0.0)
     x, z, _ = _to_world(state[X], state[Z], state[HEADING], side + left, ahead + onward, 0.0)
     return x, z
@@ -291,8 +305,9 @@ def _on_a_tread(table, state, foot, x, z, heading, came_from):
 @kernel_part()
 def _came_from(table, state, foot):
     """Number of the tread that a foot stands on or has left."""
-    at = FOOT + foot * FOOT_COLUMNS
-    return step_at(table.heights, state[at + PLANT], state[at + PLANT + 1])[1]
+    at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
+    place = state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2]
+    return tread_of(table.heights, place[0], place[1], place[2], feet[0, 2], feet[2, 2])
 
 
 @kernel_part()
@@ -314,17 +329,38 @@ def _above_root(table, k, f, state, foot):
         return 0.0
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
     root = height_at(table.heights, 0.0, state[X], state[Z])
-    low = tread_at(table.heights, 0.0, state[at + PLANT], state[at + PLANT + 1])
+    heel, toe = feet[0, 2], feet[2, 2]
+    low = under_foot(table.heights, state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2], heel, toe)
     if state[at + AIR] == 0.0:
         return low - root
-    lands_x, lands_z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1])
-    high = tread_at(table.heights, 0.0, lands_x, lands_z)
+    lands_x, lands_z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], 0.0)
+    high = under_foot(table.heights, lands_x, lands_z, state[HEADING] + state[at + LANDS_AT + 2], heel, toe)
     if low == high and step_at(table.heights, lands_x, lands_z)[0] < 0:
         return low - root
     share = min(max((state[at + SHARE] - state[at + SINCE]) / max(1.0 - state[at + SINCE], 1e-6), 0.0), 1.0)
     left, ahead, yaw, _ = _swing_place(table, k, f, state, foot)
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
-    return over_steps(table.heights, x, z, heading, feet[0, 2], feet[2, 2], low, high, share) - root
+    return over_steps(table.heights, x, z, heading, heel, toe, low, high, share) - root
+
+
+@kernel_part()
+def _steps_off(table, state, foot):
+    """Whether a swinging foot has left a place in a stairwell: then it goes straight from there to where it will land."""
+    at = FOOT + foot * FOOT_COLUMNS
+    return table.heights.shape[0] > 0 and step_at(table.heights, state[at + PLANT], state[at + PLANT + 1])[0] >= 0
+
+
+@kernel_part()
+def _stair_line(table, k, f, state, foot, done, gone):
+    """A foot on its path between two treads, of which it has gone the share ``done``: left, ahead, yaw in the body frame, and
+    that share. ``gone``: as of `_lands_at`."""
+    at = FOOT + foot * FOOT_COLUMNS
+    lands_x, lands_z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], gone)
+    x = state[at + PLANT] + done * (lands_x - state[at + PLANT])
+    z = state[at + PLANT + 1] + done * (lands_z - state[at + PLANT + 1])
+    turn = _wrapped(state[HEADING] + state[at + LANDS_AT + 2] - state[at + PLANT + 2])
+    left, ahead, yaw = _to_body(state[X], state[Z], state[HEADING], x, z, state[at + PLANT + 2] + done * turn)
+    return left, ahead, yaw, done
 
 
 @kernel_part()
@@ -332,6 +368,9 @@ def _swing_line(table, k, f, state, foot, share):
     """As `_swing_place`, at a share of the swing, where nothing stands in the way."""
     at = FOOT + foot * FOOT_COLUMNS
     since = state[at + SINCE]
+    if _steps_off(table, state, foot):
+        part = min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0)
+        return _stair_line(table, k, f, state, foot, _eased(min(part / OVER_BY, 1.0)), 0.0)
     done = _eased(min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0))
     side = table.half_width if foot == 0 else -table.half_width
     left = side + (1 - done) * state[at + LEFT_AT] + done * state[at + LANDS_AT]
@@ -565,7 +604,7 @@ def step_gait(table, state, x, z, heading, dt):
         rate = max(rate, CYCLES_PER_RAD * abs(state[TURN]))
         rate = max(rate, SETTLE_HZ) if velocity == 0.0 else rate
         flies = state[FOOT + AIR] + state[FOOT + FOOT_COLUMNS + AIR]
-        if flies == 1.0:  # a foot that is left behind needs the other one soon
+        if flies == 1.0 and not climbs:  # a foot that is left behind needs the other one soon
             behind = 0 if state[FOOT + AIR] == 0.0 else 1
             rate *= 1 + min(max(_lacks(table, k, f, state, behind) - 0.01, 0.0) / 0.04, 1.0)
         if stands and state[FOOT + SHARE] == 0.0 and state[FOOT + FOOT_COLUMNS + SHARE] == 0.0:
@@ -648,11 +687,15 @@ def _advance(table, k, f, state, ahead, rate, rests):
         else:
             state[at + SHARE] += (1 - state[at + SHARE]) * min(ahead / max(1.0 - own, 1e-9), 1.0)
         if state[at + AIR] > 0.0:
-            _aim(table, k, f, state, foot, span)
+            _aim(table, k, f, state, foot, span, ahead)
             if after >= 1.0:
                 state[at + SHARE] = 1.0
                 left, onward, yaw, _ = _swing_place(table, k, f, state, foot)
-                past = _gait_ahead(table, k, f, state[SPEED], after - 1.0) - _gait_ahead(table, k, f, state[SPEED], 0.0)
+                past = 0.0
+                if _steps_off(table, state, foot):
+                    left, onward, yaw, _ = _stair_line(table, k, f, state, foot, 1.0, ahead)
+                else:
+                    past = _gait_ahead(table, k, f, state[SPEED], after - 1.0) - _gait_ahead(table, k, f, state[SPEED], 0.0)
                 shape = _shape(table, k, f, state, foot)
                 _plant(table, state, foot, (left, onward + past, yaw), True)
                 landed, shapes = foot, shape
@@ -670,7 +713,7 @@ def _advance(table, k, f, state, ahead, rate, rests):
 
 
 @kernel_part()
-def _aim(table, k, f, state, foot, span):
+def _aim(table, k, f, state, foot, span, gone):
     """Moves the place where a swinging foot will land: half of what the root does in its stance beyond the gait, ahead."""
     at = FOOT + foot * FOOT_COLUMNS
     half = span / 2
@@ -680,7 +723,7 @@ def _aim(table, k, f, state, foot, span):
     if table.heights.shape[0]:
         if beside_steps(table.heights, state[X], state[Z]):
             ahead = 0.0
-        x, z = _lands_at(table, k, f, state, foot, left, ahead)
+        x, z = _lands_at(table, k, f, state, foot, left, ahead, gone)
         to_x, to_z = _on_a_tread(table, state, foot, x, z, state[HEADING] + yaw, _came_from(table, state, foot))
         c, s = math.cos(state[HEADING]), math.sin(state[HEADING])
         left, ahead = left - s * (to_x - x) - c * (to_z - z), ahead + c * (to_x - x) - s * (to_z - z)
@@ -759,6 +802,9 @@ def _settle_pelvis(table, k, f, state, dt):
         if table.heights.shape[0] and state[at + AIR] > 0.0:  # a foot that comes down on a lower tread draws the pelvis after it
             minds = max(minds, _eased(min(max((state[at + SHARE] - DRAWS) / (1 - DRAWS), 0.0), 1.0)))
         sink = max(sink, minds * _lacks(table, k, f, state, foot))
+    if table.heights.shape[0]:
+        if beside_steps(table.heights, state[X], state[Z]):
+            sink = max(sink, min(CROUCH_M, state[SINK] + CROUCH_MPS * dt))
     state[SINK] = max(sink, state[SINK] - RISE_MPS * dt)
 
 

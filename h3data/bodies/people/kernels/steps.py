@@ -9,15 +9,17 @@ from __future__ import annotations
 import math
 
 from h3data.kernels import kernel_part
-from h3data.scene.floor_heights import AXIS, END, START, STEPS, nose_at, step_at
+from h3data.scene.floor_heights import AXIS, END, START, STEPS, nose_at, step_at, tread_at
 
 RISER_M = 0.025
 """A foot keeps so far from the riser in front of or behind it."""
-OVERHANG_M = 0.05
+OVERHANG_M = 0.03
 """Heel or toe stand out over the edge of a tread by no more than this: many feet are nearly as long as a tread."""
 USUAL = 0.62
 """People go on two treads further with each foot, also where the middle of the foot would be nearer to another, by this share
 of a tread at most."""
+DOWN_NEARER = 0.3
+"""On the way down feet land nearer to the body by this share of a tread: a foot far ahead and below is out of reach."""
 BESIDE_M = 0.2
 """People climb from this far before the first riser on."""
 UP_SHARE, DOWN_SHARE = 0.2, 0.25
@@ -53,22 +55,47 @@ def _upwards(heights, k, heading):
 
 
 @kernel_part()
+def _middle(x, z, heading, heel, toe):
+    half = (heel + toe) / 2
+    return x + math.cos(heading) * half, z - math.sin(heading) * half
+
+
+@kernel_part()
+def tread_of(heights, x, z, heading, heel, toe):
+    """Number of the tread on which a foot stands whose ankle is at (x, z)."""
+    middle_x, middle_z = _middle(x, z, heading, heel, toe)
+    return step_at(heights, middle_x, middle_z)[1]
+
+
+@kernel_part()
+def under_foot(heights, x, z, heading, heel, toe):
+    """Height [m] of the tread or floor on which a foot stands whose ankle is at (x, z)."""
+    middle_x, middle_z = _middle(x, z, heading, heel, toe)
+    return tread_at(heights, 0.0, middle_x, middle_z)
+
+
+@kernel_part()
 def on_a_tread(heights, x, z, heading, heel, toe, came_from):
     """A place (x, z) of an ankle, moved along the flight as little as puts the foot on one tread; off stairs as it is.
 
     ``came_from`` is the tread on which the foot stood before, -1 if it does not matter.
     """
-    k, tread, place = step_at(heights, x, z)
+    middle_x, middle_z = _middle(x, z, heading, heel, toe)
+    k, tread, place = step_at(heights, middle_x, middle_z)
     if k < 0:
         return x, z
     last = int(heights[k, STEPS])
     going = abs(heights[k, END] - heights[k, START]) / last
     if came_from >= 0:
-        usual = came_from + 2 if place > came_from else came_from - 2
-        if 0 <= usual <= last and abs(place - usual) < USUAL:
+        down = place < came_from
+        near = place + DOWN_NEARER if down else place
+        tread = int(min(max(math.floor(near + 0.5), 0.0), last))
+        usual = came_from - 2 if down else came_from + 2
+        if 0 <= usual <= last and abs(near - usual) < USUAL:
             tread = usual
     cosine = _upwards(heights, k, heading)
-    high, low = max(cosine * heel, cosine * toe), min(cosine * heel, cosine * toe)
+    high = abs(cosine) * (toe - heel) / 2
+    low = -high
     at = place * going
     to = at
     if tread > 0:
@@ -82,13 +109,13 @@ def on_a_tread(heights, x, z, heading, heel, toe, came_from):
 @kernel_part()
 def over_steps(heights, x, z, heading, heel, toe, low, high, share):
     """Height [m] of the floor under a swinging foot that is at (x, z) and has got so far, from a floor at ``low`` to one at
-    ``high``: as high as the noses under heel and toe ask for, in between."""
+    ``high``: never below what is under heel and toe, and as high as the noses there in between."""
     line = low + (high - low) * share * share * (3 - 2 * share)
     c, s = math.cos(heading), math.sin(heading)
-    nose = max(
-        nose_at(heights, 0.0, x + c * heel, z - s * heel),
-        nose_at(heights, 0.0, x + c * toe, z - s * toe),
-    )
+    under, nose = line, line
+    for at in (heel, toe):
+        under = max(under, tread_at(heights, 0.0, x + c * at, z - s * at))
+        nose = max(nose, nose_at(heights, 0.0, x + c * at, z - s * at) + CLEAR_M)
     up, down = min(share / UP_SHARE, 1.0), min((1.0 - share) / DOWN_SHARE, 1.0)
     over = up * up * (3 - 2 * up) * down * down * (3 - 2 * down)
-    return line + over * max(nose + CLEAR_M - line, 0.0)
+    return max(line + over * (nose - line), under)
