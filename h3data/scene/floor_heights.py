@@ -31,7 +31,11 @@ def room_heights(rooms: Iterable[Room]) -> NDArray[np.float64]:
     rows = []
     for room in rooms:
         ramp = room.ramp
-        tail = (room.floor_y, 0, 0.0, 1.0, 0) if ramp is None else (ramp.top_y, ramp.axis, ramp.start, ramp.end, ramp.steps)
+        tail = (
+            (room.floor_y, 0, 0.0, 1.0, 0)
+            if ramp is None
+            else (ramp.top_y, ramp.axis, ramp.start, ramp.end, ramp.steps)
+        )
         rows += [(*rectangle, room.floor_y, *tail) for rectangle in np.asarray(room.rectangles, np.float64).tolist()]
     return np.array(rows, np.float64)
 
@@ -147,9 +151,7 @@ def _off_risers(heights, points, gap):
         points[n, 0 if heights[k, AXIS] == 0.0 else 1] += (to - place) * going
 
 
-def _measured(
-    heights: NDArray[np.float64], floor_y: float, points: ArrayLike, what: int
-) -> NDArray[np.float64]:
+def _measured(heights: NDArray[np.float64], floor_y: float, points: ArrayLike, what: int) -> NDArray[np.float64]:
     places = np.asarray(points, np.float64)
     if not len(heights):
         return np.full(places.shape[:-1], floor_y)

@@ -38,7 +38,7 @@ Floor = FreeSpace | float
 
 
 def root_pose(body: Body, xz: Array, heading: ArrayLike, floor: Floor = 0.0) -> Array:
-    """pose7 [..., 7] of the roots of an agent at ``xz`` [..., 2]: on stairs robots that climb them pitch, people stay upright."""
+    """pose7 [..., 7] of the roots of an agent at ``xz`` [..., 2]. On stairs robots pitch, people stay upright."""
     if not isinstance(floor, FreeSpace):
         return ground_pose(xz, heading, floor)
     return floor.root_pose(xz, heading, pitch_over_m=body.climbing_length_m if isinstance(body, Robot) else 0.0)

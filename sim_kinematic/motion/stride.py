@@ -191,11 +191,27 @@ def stride_step(
 
 
 @kernel(error_model="numpy")
-def stride_track(sdf, origin, cell, heights, radius, path, cumulative, halts, state, speed, limits, patience, dt, track):
+def stride_track(
+    sdf, origin, cell, heights, radius, path, cumulative, halts, state, speed, limits, patience, dt, track
+):
     """Walks the whole path, or as much as fits into ``track`` [n, 3] (x, z, heading); returns the number of steps."""
     for k in range(len(track)):
         there = stride_step(
-            sdf, origin, cell, heights, radius, path, cumulative, True, halts, math.nan, state, speed, limits, patience, dt
+            sdf,
+            origin,
+            cell,
+            heights,
+            radius,
+            path,
+            cumulative,
+            True,
+            halts,
+            math.nan,
+            state,
+            speed,
+            limits,
+            patience,
+            dt,
         )
         track[k, 0], track[k, 1], track[k, 2] = state[0], state[1], state[2]
         if there:

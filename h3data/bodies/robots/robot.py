@@ -134,7 +134,7 @@ class Robot:
 
     @cached_property
     def climbing_length_m(self) -> float:
-        """Distance of its front from its hind feet, over which its base pitches on stairs [m]; 0 of robots that do not climb."""
+        """Distance of front and hind feet, over which the base pitches on stairs [m]; 0 of robots that do not climb."""
         if not self.climbs_stairs:
             return 0.0
         if not self.legs:

@@ -188,7 +188,9 @@ def without_stairs(floor: FloorMap) -> FloorMap:
     free = floor.polygon.difference(shapely.union_all(flights).buffer(floor.radius_m, quad_segs=ARC_SEGMENTS))
     polygon = MultiPolygon([p for p in polygon_parts(free.simplify(SMOOTH_M)) if p.area >= ISLAND_MIN_M2])
     nx, nz = floor.sdf.shape
-    outside = [-sdf_from_edges(area_edges(MultiPolygon([flight]))[0], floor.origin, floor.cell_m, nx, nz) for flight in flights]
+    outside = [
+        -sdf_from_edges(area_edges(MultiPolygon([flight]))[0], floor.origin, floor.cell_m, nx, nz) for flight in flights
+    ]
     sdf = np.minimum.reduce([floor.sdf, *outside])
     return replace(floor, key="", sdf=sdf, polygon=polygon, graph=build_graph(polygon), heights=heights)
 

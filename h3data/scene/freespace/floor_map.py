@@ -36,5 +36,5 @@ class FloorMap:
     graph: Graph
     """Visibility graph over the corners of ``polygon``, with all shortest paths."""
     heights: NDArray[np.float64] = field(default_factory=LEVEL.copy)
-    """How high the floor is at a place, where stairs join storeys (`h3data.scene.floor_heights`), shape [K, 10]; K = 0: it is at
+    """How high the floor is at a place, where stairs join storeys (`h3data.scene.floor_heights`), shape [K, 10]; K = 0: at
     ``floor_y`` everywhere."""

@@ -40,8 +40,8 @@ class RoomPlan:
 
 
 OpeningKind = Literal["door", "wide", "window", "entrance", "gate", "parapet", "passage"]
-"""``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its balustrade, ``passage`` = a doorway
-to a stairwell."""
+"""``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its balustrade, ``passage`` = the
+doorway to a stairwell."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -284,7 +284,9 @@ def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> 
     wall_bar(mesh, opening.axis, (u0, u1), frame, (y0, y0 + bar), style.trim)
     wall_bar(mesh, opening.axis, (u0, u1), frame, (y1 - bar, y1), style.trim)
     wall_bar(mesh, opening.axis, (u0, u1), (middle - 0.005, middle + 0.005), (y0 + bar, y1 - bar), style.glass)
-    wall_bar(mesh, opening.axis, (u0 - 0.05, u1 + 0.05), (inner, inner + into * 0.06), (y0 - 0.03, y0 + 0.004), style.trim)
+    wall_bar(
+        mesh, opening.axis, (u0 - 0.05, u1 + 0.05), (inner, inner + into * 0.06), (y0 - 0.03, y0 + 0.004), style.trim
+    )
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (min(inner, outer), max(inner, outer)))
     shape = box_shape((x0, y0, z0), (x1, y1, z1))
     return Asset(name=f"window_{index}", mesh=mesh.mesh(), category="window", shapes=(shape,))

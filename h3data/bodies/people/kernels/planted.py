@@ -2,8 +2,8 @@
 
 `step_gait` is a phase machine. A foot is either planted, at one place of the floor in the world, or it swings from there to
 where it will be needed: as far ahead as the gait at this speed has it, plus half of what the root moves and turns beyond that
-during the stance, and not into what stands there, if a map of the floor is given. Nothing else moves a foot, so a planted one
-cannot slide, whatever the root does. On stairs the root follows a ramp and feet go from tread to tread (`.steps`). The phase runs as fast as speed, turning or feet that stand wrong demand, and rests when
+during the stance, and not into what stands there, if a map of the floor is given. On stairs the root follows a ramp and feet go from
+tread to tread (`steps`). Nothing else moves a foot, so a planted one cannot slide, whatever the root does. The phase runs as fast as speed, turning or feet that stand wrong demand, and rests when
 both feet stand where a standing person's do.
 
 `pose_gait` is a function of one state alone. Joints come from tables by speed and phase, legs from the feet in closed form.
@@ -98,8 +98,6 @@ OVER_BY = 0.8
 """By this share of a swing between treads the foot is over its place."""
 DRAWS = 0.45
 """On stairs the pelvis minds a swinging foot again from this share of its swing on."""
-HURRY_MPS = 0.8
-"""People who climb faster take two treads at a time."""
 EARLY_M, EARLY_SHARE = 0.04, 0.5
 """A foot behind the body that the pelvis would have to sink for by more than this leaves early, if the other one stands, in
 this part of its stance or later."""
@@ -286,9 +284,7 @@ def _lands_at(table, k, f, state, foot, left, ahead, gone):
     """Where in the world a swinging foot will land that lands off the gait by so much to the left and ahead, if the phase is
     ``gone`` cycles behind the root: (x, z)."""
     side = table.half_width if foot == 0 else -table.half_width
-    onward = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (
-        1.0 - _own_phase(state[PHASE], foot) - gone
-    )
+    onward = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (1.0 - _own_phase(state[PHASE], foot) - gone)
     onward += _gait_ahead(table, k, f, state[SPEED], 0.0)
     x, z, _ = _to_world(state[X], state[Z], state[HEADING], side + left, ahead + onward, 0.0)
     return x, z
@@ -323,8 +319,9 @@ def _stand_place(table, state, foot):
 
 
 @kernel_part()
-def _above_root(table, k, f, state, foot):
-    """How far above the root's floor the floor of a foot is, or the path over the steps if it swings [m]."""
+def _above_root(table, k, f, state, foot, along):
+    """How far above the root's floor that of a foot is, or the path over the steps if it swings, its ankle ``along`` ahead of its
+    place [m]."""
     if table.heights.shape[0] == 0:
         return 0.0
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
@@ -340,7 +337,7 @@ def _above_root(table, k, f, state, foot):
     share = min(max((state[at + SHARE] - state[at + SINCE]) / max(1.0 - state[at + SINCE], 1e-6), 0.0), 1.0)
     left, ahead, yaw, _ = _swing_place(table, k, f, state, foot)
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
-    return over_steps(table.heights, x, z, heading, heel, toe, low, high, share) - root
+    return over_steps(table.heights, x, z, heading, heel + along, toe + along, low, high, share) - root
 
 
 @kernel_part()
@@ -451,7 +448,7 @@ def _ankle(table, k, f, state, foot):
     left, ahead, yaw = _foot_place(table, k, f, state, foot)
     pitch, bend, along, up = _shape(table, k, f, state, foot)
     c, s = math.cos(yaw), math.sin(yaw)
-    up += _above_root(table, k, f, state, foot)
+    up += _above_root(table, k, f, state, foot, along)
     return (left + s * along, up, ahead + c * along), pitch, bend, yaw
 
 
@@ -582,7 +579,7 @@ def step_gait(table, state, x, z, heading, dt):
     gain = AHEAD_ACCELERATION * dt
     state[AHEAD] += min(max(velocity - state[AHEAD], -gain), gain)
     climbs = table.heights.shape[0] > 0 and beside_steps(table.heights, x, z)
-    most = _climbing_speed(table, velocity) if climbs else 0.0
+    most = _climbing_speed(table) if climbs else 0.0
     gait = min(max(velocity, -most), most) if climbs else velocity
     _change_speed(table, state, gait, ACCELERATION * dt)
     slow = STYLE_ACCELERATION * dt
@@ -599,7 +596,9 @@ def step_gait(table, state, x, z, heading, dt):
     else:
         state[IDLE] = max(state[IDLE] - IDLE_OUT * dt, 0.0)
         rate = abs(state[SPEED]) / _at(table.travel, k, f) if k > 0 else table.cadence[0]
-        if climbs and abs(gait) == most:  # steps are as long as the stairs have them, so their number depends on the speed
+        if (
+            climbs and abs(gait) == most
+        ):  # steps are as long as the stairs have them, so their number depends on the speed
             rate = abs(velocity) / max(_at(table.travel, k, f), 0.2)
         rate = max(rate, CYCLES_PER_RAD * abs(state[TURN]))
         rate = max(rate, SETTLE_HZ) if velocity == 0.0 else rate
@@ -616,9 +615,9 @@ def step_gait(table, state, x, z, heading, dt):
 
 
 @kernel_part()
-def _climbing_speed(table, velocity):
-    """Speed of the gait whose steps are one tread long, or two for people in a hurry [m/s]."""
-    length = 2 * tread_length(table.heights) * (1.0 if abs(velocity) <= HURRY_MPS else 2.0)
+def _climbing_speed(table):
+    """Speed of the gait whose steps are one tread long [m/s]."""
+    length = 2 * tread_length(table.heights)
     k = 0
     while k < len(table.speeds) - 2 and table.travel[k + 1] < length:
         k += 1
@@ -695,7 +694,9 @@ def _advance(table, k, f, state, ahead, rate, rests):
                 if _steps_off(table, state, foot):
                     left, onward, yaw, _ = _stair_line(table, k, f, state, foot, 1.0, ahead)
                 else:
-                    past = _gait_ahead(table, k, f, state[SPEED], after - 1.0) - _gait_ahead(table, k, f, state[SPEED], 0.0)
+                    past = _gait_ahead(table, k, f, state[SPEED], after - 1.0) - _gait_ahead(
+                        table, k, f, state[SPEED], 0.0
+                    )
                 shape = _shape(table, k, f, state, foot)
                 _plant(table, state, foot, (left, onward + past, yaw), True)
                 landed, shapes = foot, shape
@@ -799,12 +800,13 @@ def _settle_pelvis(table, k, f, state, dt):
         at = FOOT + foot * FOOT_COLUMNS
         done = min((state[at + SHARE] - state[at + SINCE]) / LETS_GO, 1.0) if state[at + AIR] > 0.0 else 0.0
         minds = 1 - _eased(done)
-        if table.heights.shape[0] and state[at + AIR] > 0.0:  # a foot that comes down on a lower tread draws the pelvis after it
+        if (
+            table.heights.shape[0] and state[at + AIR] > 0.0
+        ):  # one that comes down on a lower tread draws the pelvis down
             minds = max(minds, _eased(min(max((state[at + SHARE] - DRAWS) / (1 - DRAWS), 0.0), 1.0)))
         sink = max(sink, minds * _lacks(table, k, f, state, foot))
-    if table.heights.shape[0]:
-        if beside_steps(table.heights, state[X], state[Z]):
-            sink = max(sink, min(CROUCH_M, state[SINK] + CROUCH_MPS * dt))
+    if table.heights.shape[0] and beside_steps(table.heights, state[X], state[Z]):
+        sink = max(sink, min(CROUCH_M, state[SINK] + CROUCH_MPS * dt))
     state[SINK] = max(sink, state[SINK] - RISE_MPS * dt)
 
 

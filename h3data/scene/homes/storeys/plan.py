@@ -84,7 +84,14 @@ def plan_storeys(ground: HomeSpec, upper: HomeSpec, attempt: int) -> StoreyPlan:
 
 
 def _depth(plan: StoreyPlan) -> float:
-    z = (0.0, plan.ground.depth, plan.offset[1], plan.offset[1] + plan.upper.depth, plan.well.rect[1], plan.well.rect[3])
+    z = (
+        0.0,
+        plan.ground.depth,
+        plan.offset[1],
+        plan.offset[1] + plan.upper.depth,
+        plan.well.rect[1],
+        plan.well.rect[3],
+    )
     return max(z) - min(z)
 
 

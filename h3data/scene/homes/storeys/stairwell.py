@@ -1,4 +1,4 @@
-"""The stairwell of a home with two storeys, and the closed cellar below the upper one: steps, handrails, walls, windows, ceiling.
+"""The stairwell of a home with two storeys: steps, handrails, walls, windows, ceiling; and the cellar below the upper storey.
 
 All assets are in world coordinates, as those of `h3data.scene.homes.structure`. Their collision boxes end a little below what
 feet stand on.
@@ -124,7 +124,9 @@ def _handrails(well: Well, style: Style) -> Asset:
         for at, height in ((first, RISE_M + _RAIL_M), (last, STOREY_M + _RAIL_M)):
             away = -sign if at == first else sign
             a, b = _between(at, at + away * _RAIL_ENDS_M)
-            mesh.span((x - wide / 2, height - high / 2, a), (x + wide / 2, height + high / 2, b), style.wood_dark, bevel=0.01)
+            mesh.span(
+                (x - wide / 2, height - high / 2, a), (x + wide / 2, height + high / 2, b), style.wood_dark, bevel=0.01
+            )
             shapes.append(box_shape((x - wide / 2, height - high / 2, a), (x + wide / 2, height + high / 2, b)))
         for share in (0.06, 0.35, 0.65, 0.94):
             at, height = first + share * (last - first), RISE_M + share * (STOREY_M - RISE_M) + _RAIL_M
