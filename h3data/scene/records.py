@@ -113,7 +113,7 @@ class Instance:
 
 @dataclass(frozen=True, kw_only=True)
 class Ramp:
-    """A straight flight of stairs in a room, whose floor rises from `Room.floor_y` to ``top_y`` and is level before and after."""
+    """A straight flight of stairs in a room: its floor rises from `Room.floor_y` to ``top_y`` and is level at both ends."""
 
     axis: Literal[0, 1]
     """Plan axis along which it rises: 0 = x, 1 = z."""

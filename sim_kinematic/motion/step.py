@@ -245,6 +245,10 @@ def drive_robots(
             spec.slide_iterations, spec.clearance_tolerance_m, spec.contact_tolerance_m, spec.farthest_m(dt),
         )  # fmt: skip
     elif spec.slide == "habitat":
+        if len(free.heights):
+            raise InputError(
+                "Bases slide as in Habitat on one level floor only. Hint: slide='strict' in homes with stairs."
+            )
         rules = spec.habitat.slides, spec.habitat.slides_while_turning, spec.habitat.navmesh_slides
         broken = _drive_worlds_as_habitat(
             (finder or _finder(free)).surface, free.floor_y + spec.habitat.root_height_m, *moved, action, limits, dt,

@@ -2,9 +2,9 @@
 
 `step_gait` is a phase machine. A foot is either planted, at one place of the floor in the world, or it swings from there to
 where it will be needed: as far ahead as the gait at this speed has it, plus half of what the root moves and turns beyond that
-during the stance, and not into what stands there, if a map of the floor is given. On stairs the root follows a ramp and feet go from
-tread to tread (`steps`). Nothing else moves a foot, so a planted one cannot slide, whatever the root does. The phase runs as fast as speed, turning or feet that stand wrong demand, and rests when
-both feet stand where a standing person's do.
+during the stance, and not into what stands there, if a map of the floor is given. On stairs the root follows a ramp and feet
+go from tread to tread (`steps`). Nothing else moves a foot, so a planted one cannot slide, whatever the root does. The phase
+runs as fast as speed, turning or feet that stand wrong demand, and rests when both feet stand where a standing person's do.
 
 `pose_gait` is a function of one state alone. Joints come from tables by speed and phase, legs from the feet in closed form.
 
@@ -320,8 +320,8 @@ def _stand_place(table, state, foot):
 
 @kernel_part()
 def _above_root(table, k, f, state, foot, along):
-    """How far above the root's floor that of a foot is, or the path over the steps if it swings, its ankle ``along`` ahead of its
-    place [m]."""
+    """How far above the root's floor that of a foot is, or the path over steps of one that swings with its ankle ``along`` ahead
+    of its place [m]."""
     if table.heights.shape[0] == 0:
         return 0.0
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
