@@ -96,8 +96,8 @@ CROUCH_M, CROUCH_MPS = 0.06, 0.2
 """On stairs the pelvis is lower by this much, for the foot below; it gets there at this speed."""
 OVER_BY = 0.8
 """By this share of a swing between treads the foot is over its place."""
-DRAWS = 0.45
-"""On stairs the pelvis minds a swinging foot again from this share of its swing on."""
+DRAWS = 0.3
+"""On stairs the pelvis sinks for a swinging foot that comes down on a lower tread from this share of its swing on."""
 EARLY_M, EARLY_SHARE = 0.04, 0.5
 """A foot behind the body that the pelvis would have to sink for by more than this leaves early, if the other one stands, in
 this part of its stance or later."""
@@ -320,8 +320,8 @@ def _stand_place(table, state, foot):
 
 @kernel_part()
 def _above_root(table, k, f, state, foot, along):
-    """How far above the root's floor that of a foot is, or the path over steps of one that swings with its ankle ``along`` ahead
-    of its place [m]."""
+    """How far above the root's floor that of a foot is, or the path over steps of one that swings, its ankle ``along`` ahead of
+    its place [m]."""
     if table.heights.shape[0] == 0:
         return 0.0
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
@@ -793,19 +793,37 @@ def _lacks(table, k, f, state, foot):
 
 
 @kernel_part()
+def _will_lack(table, k, f, state, foot):
+    """As `_lacks`, of a swinging foot that has come down where it will, flat, while the pelvis stays where it is."""
+    place, turn = _pelvis(table, state), _pelvis_turn(table, state)
+    at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
+    x, z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], 0.0)
+    heading = state[HEADING] + state[at + LANDS_AT + 2]
+    gone = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (1.0 - _own_phase(state[PHASE], foot))
+    left, ahead, _ = _to_body(state[X], state[Z], state[HEADING], x, z, heading)
+    root_x, root_z, _ = _to_world(state[X], state[Z], state[HEADING], 0.0, gone, 0.0)
+    floor = under_foot(table.heights, x, z, heading, feet[0, 2], feet[2, 2])
+    up = floor - height_at(table.heights, 0.0, root_x, root_z) + table.ankle_height
+    hip = turned(turn, row3(table.legs.hips, foot))
+    aside, onward = place[0] + hip[0] - left, place[2] + hip[2] - (ahead - gone)
+    longest = STRETCHED * (table.legs.thigh + table.legs.shank)
+    room = math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
+    return place[1] + hip[1] - up - room
+
+
+@kernel_part()
 def _settle_pelvis(table, k, f, state, dt):
     """How far the pelvis must be below that of the gait for the planted feet: down at once, up at leisure."""
-    sink = 0.0
+    sink, climbs = 0.0, table.heights.shape[0] > 0
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
         done = min((state[at + SHARE] - state[at + SINCE]) / LETS_GO, 1.0) if state[at + AIR] > 0.0 else 0.0
-        minds = 1 - _eased(done)
-        if (
-            table.heights.shape[0] and state[at + AIR] > 0.0
-        ):  # one that comes down on a lower tread draws the pelvis down
-            minds = max(minds, _eased(min(max((state[at + SHARE] - DRAWS) / (1 - DRAWS), 0.0), 1.0)))
-        sink = max(sink, minds * _lacks(table, k, f, state, foot))
-    if table.heights.shape[0] and beside_steps(table.heights, state[X], state[Z]):
+        sink = max(sink, (1 - _eased(done)) * _lacks(table, k, f, state, foot))
+        if climbs and state[at + AIR] > 0.0 and _steps_off(table, state, foot):
+            # one that will come down on a lower tread draws the pelvis down in time
+            share = min(max((state[at + SHARE] - DRAWS) / (1 - DRAWS), 0.0), 1.0)
+            sink = max(sink, _eased(share) * _will_lack(table, k, f, state, foot))
+    if climbs and beside_steps(table.heights, state[X], state[Z]):
         sink = max(sink, min(CROUCH_M, state[SINK] + CROUCH_MPS * dt))
     state[SINK] = max(sink, state[SINK] - RISE_MPS * dt)
 

@@ -13,6 +13,7 @@ from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import joined, moved
 from h3data.scene.homes.floors import floor_mesh
 from h3data.scene.homes.layout import WALL_HEIGHT, WALL_THICKNESS, Layout, RoomPlan
+from h3data.scene.homes.materials import Finish
 from h3data.scene.homes.solids import MeshBuilder, shade, turn_x
 from h3data.scene.homes.storeys.plan import GOING_M, RISE_M, RISERS, STOREY_M, StoreyPlan, Well
 from h3data.scene.homes.structure import box_shape, face_quad, plan_box, wall_bar, wall_runs
@@ -78,7 +79,7 @@ def _landings(well: Well, style: Style, rng: np.random.Generator) -> Mesh:
 
 
 def _stairs(well: Well, style: Style) -> Asset:
-    """Closed steps of wood with white risers; the last one is the edge of the upper landing."""
+    """Closed steps with treads as the boards of the floor; the last one is the edge of the upper landing."""
     x0, z0, x1, z1 = well.rect
     mesh, shapes, sign = MeshBuilder(), list[Shape](), _sign(well)
     end = z1 if sign > 0 else z0
@@ -90,7 +91,7 @@ def _stairs(well: Well, style: Style) -> Asset:
         shapes.append(box_shape((x0, 0.0, low), (x1, top - _SUNK_M, high)))
         # the slab of the last step ends where the floor of the landing begins
         low, high = _between(front - sign * _NOSE_M, front if k == RISERS - 1 else back)
-        mesh.span((x0, top - _SLAB_M, low), (x1, top, high), style.wood, bevel=0.006)
+        mesh.span((x0, top - _SLAB_M, low), (x1, top, high), Finish(style.floor_wood, "wood"), bevel=0.006)
     skirt = 0.26
     _slanted(mesh, well, x0 + 0.008, (0.016, skirt), -0.02, style)
     _slanted(mesh, well, x1 - 0.008, (0.016, skirt), -0.02, style)
@@ -146,6 +147,10 @@ def _walls(plan: StoreyPlan, style: Style) -> Asset:
         low, high = (rect[0], bottom, rect[1]), (rect[2], top, rect[3])
         mesh.span(low, high, style.facade)
         shapes.append(box_shape(low, high))
+        if top == TOP_M:  # seen from above without its ceiling
+            y = top + 0.001
+            ring = [(rect[0], y, rect[3]), (rect[2], y, rect[3]), (rect[2], y, rect[1]), (rect[0], y, rect[1])]
+            mesh.quads([ring], style.wall_top)
 
     for a, b in _missing(plan.ground, plan.ground.width, (z0 - t, z1 + t)):
         wall((x0 - t, a, x0, b), 0.0, WALL_HEIGHT)
