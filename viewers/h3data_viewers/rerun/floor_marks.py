@@ -41,8 +41,10 @@ def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> boo
         space = FreeSpace.from_scene(scene, radius_m=float(radius))
     else:
         space = FreeSpace.from_scene(scene)
-    outline = shapely.segmentize(space.polygon, STAIRS_EVERY_M) if len(space.heights) else space.polygon
-    rings = [np.asarray(r.coords) for p in outline.geoms for r in (p.exterior, *p.interiors)]
+    borders = [r for p in space.polygon.geoms for r in (p.exterior, *p.interiors)]
+    if len(space.heights):
+        borders = [shapely.segmentize(r, STAIRS_EVERY_M) for r in borders]
+    rings = [np.asarray(r.coords) for r in borders]
     if not rings:
         return False
     levels = [space.height_at(r) + ABOVE_FLOOR_M for r in rings]
