@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,9 +51,9 @@ def cutaway(scene: Scene, width: int, height: int) -> Camera:
     """The home from above one side, without ceilings."""
     low, high = scene.bounds
     middle, span = (low + high) / 2, high - low
-    eye = middle + np.array([-0.10 * span[0], 0.95 * span[0], 0.95 * span[0]])
-    pose = look_at(eye, middle + np.array([0.0, -0.6, 0.3]))
-    return pinhole(width, height, hfov_deg=46, pose=pose, name="cutaway", hidden_layers=("ceiling",))
+    eye = middle + np.array([-0.05 * span[0], 1.15 * span[0], 1.15 * span[0]])
+    pose = look_at(eye, middle + np.array([0.3, -0.6, 0.2]))
+    return pinhole(width, height, hfov_deg=44, pose=pose, name="cutaway", hidden_layers=("ceiling",))
 
 
 def on_landing(scene: Scene, *, upper: bool, width: int, height: int) -> Camera:
@@ -99,7 +100,7 @@ def climbs(recording: Recording, agent: int) -> list[tuple[int, int, bool]]:
 
 
 def film(
-    replay: Replay, agent: int, steps: Sequence[int], *, size: tuple[int, int], wide_m: float
+    replay: Replay, agent: int, steps: Sequence[int], *, size: tuple[int, int], wide_m: float, aim_m: float
 ) -> NDArray[np.uint8]:
     """Frames of an agent on the stairs from the side, the wall between cut away."""
     assert replay.scene is not None
@@ -108,7 +109,7 @@ def film(
     base, frames = replay.recording.agent_column(agent, "base_pose"), []
     for step in steps:
         x, y, z = base[step, :3].astype(np.float64)
-        eye, target = np.array([x1 + away, y + 0.95, z]), np.array([x, y + 0.80, z])
+        eye, target = np.array([x1 + away, y + aim_m + 0.15, z]), np.array([x, y + aim_m, z])
         hfov = float(np.degrees(2 * np.arctan(wide_m / 2 / (away + x1 - x))))
         camera = pinhole(*size, hfov_deg=hfov, name="side", near=away + 0.08, pose=look_at(eye, target))
         frames.append(replay.stage.render(renderer, step, [camera], outputs=("rgb",), samples=4)[0]["rgb"])
@@ -118,9 +119,9 @@ def film(
 def stairs_sheet(scene: Scene) -> NDArray[np.uint8]:
     """Strips of two people and a robot."""
     task, rows = find_task("wander"), []
-    spec = task.default_spec()
+    spec = replace(task.default_spec(), max_steps=900)
     found: dict[str, NDArray[np.uint8]] = {}
-    for seed in range(20):
+    for seed in range(12):
         episode = task.episode(scene, seed=seed, agents="robot,human:female_1,human:male_2", spec=spec)
         recording = simulate(task, episode)
         replay = Replay(recording)
@@ -131,8 +132,11 @@ def stairs_sheet(scene: Scene) -> NDArray[np.uint8]:
                     continue
                 count, every = (8, 6) if member.kind == "human" else (6, 8)
                 start = first + max(0, (last - first - count * every) // 2)
-                size, wide = ((WIDTH // 8, 340), 1.4) if member.kind == "human" else ((WIDTH // 6, 300), 1.75)
-                found[kind] = film(replay, agent, range(start, start + count * every, every), size=size, wide_m=wide)
+                size, wide, aim = ((WIDTH // 8, 340), 1.4, 0.8)
+                if member.kind == "robot":
+                    size, wide, aim = ((WIDTH // 6, 300), 1.9, 0.35)
+                steps = range(start, start + count * every, every)
+                found[kind] = film(replay, agent, steps, size=size, wide_m=wide, aim_m=aim)
         if len(found) == 3:
             break
     rows = [found[kind] for kind in ("human up", "human down", "robot up") if kind in found]

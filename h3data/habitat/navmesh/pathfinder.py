@@ -69,7 +69,7 @@ class PathFinder:
 
     def __init__(self, source: FreeSpace | NavMesh) -> None:
         self.free_space = source if isinstance(source, FreeSpace) and not len(source.heights) else None
-        """Set if made from one that is level: shortest paths are then its own. On stairs lengths are those of strings in space."""
+        """Set if made from one that is level: shortest paths are then its own. On stairs they are strings in space."""
         self.navmesh: NavMesh = source if isinstance(source, NavMesh) else navmesh_from_free_space(source, merge=False)
         if not self.navmesh.enabled.any():
             raise InputError("The navmesh has no polygon that can be walked on.")

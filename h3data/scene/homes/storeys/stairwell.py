@@ -68,9 +68,13 @@ def _landings(well: Well, style: Style, rng: np.random.Generator) -> Mesh:
     x0, z0, x1, z1 = well.rect
     ends = (z0, z1) if _sign(well) > 0 else (z1, z0)
     parts = []
+    rects = []
     for height, end, edge in ((0.0, ends[0], riser(well, 0)), (STOREY_M, ends[1], riser(well, RISERS - 1))):
         low, high = _between(end, edge)
-        rect = (x0, low, x1, high)
+        rects.append((height, (x0, low, x1, high)))
+    t, (below, above) = WALL_THICKNESS, well.doors  # the floor in the doorways
+    rects += [(0.0, (x0 - t, below[0], x0, below[1])), (STOREY_M, (x1, above[0], x1 + t, above[1]))]
+    for height, rect in rects:
         mesh = floor_mesh(RoomPlan(name="stairs", category="stairs", rect=rect, interior=rect), style, rng)
         lifted = np.eye(4)
         lifted[1, 3] = height
