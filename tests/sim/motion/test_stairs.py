@@ -168,7 +168,7 @@ def test_devices_refuse_stairs_in_one_line() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("task", "seed", "steps"), [("wander", 0, 300), ("social_nav", 4, 700), ("rearrange", 0, None)]
+    ("task", "seed", "steps"), [("wander", 0, 400), ("social_nav", 4, 700), ("rearrange", 0, None)]
 )
 def test_episodes_cross_storeys_and_verify(task: str, seed: int, steps: int | None) -> None:
     found = find_task(task)
