@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from h3data.bodies import load_humanoid, load_robot
+from h3data.bodies import humanoid_names, load_humanoid, load_robot
 from h3data.bodies.people.foot_planting import leg_frames, sole_points
 from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS
 from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
@@ -59,7 +59,7 @@ def test_people_slow_down_before_they_climb() -> None:
         assert np.abs(before).max() <= NATURAL_WALKER.stride.decel_mps2 * STEP_S + 0.02
 
 
-@pytest.mark.parametrize("name", ["female_0", "male_3"])
+@pytest.mark.parametrize("name", humanoid_names())
 @pytest.mark.parametrize("up", [True, False])
 def test_feet_stand_on_treads_and_clear_their_noses(name: str, up: bool) -> None:
     body, free, track = load_humanoid(name), storeys.floor(), walked(up=up)
@@ -72,12 +72,12 @@ def test_feet_stand_on_treads_and_clear_their_noses(name: str, up: bool) -> None
     in_air = np.stack([states[:, FOOT + k * FOOT_COLUMNS + AIR] > 0 for k in range(2)], axis=1)
     lowest = over.min(-1)
     assert lowest[~in_air].min() > -0.001  # not in a tread or riser
-    assert lowest[~in_air].max() < 0.08  # nor in the air, though a heel may be up
-    assert lowest[in_air].min() > -0.04
+    assert lowest[~in_air].max() < 0.05  # nor in the air, though a heel may be up
+    assert lowest[in_air].min() > -0.001
     climbing = (base[:, 1] > 0.3) & (base[:, 1] < 2.4)
     assert lowest[in_air & climbing[:, None]].max() > 0.1  # over the next step
     height = pelvis[:, 1] + base[:, 1]
-    assert np.abs(np.diff(height)).max() < 0.10  # no jumps
+    assert np.abs(np.diff(height)).max() < 0.06  # no jumps
     assert np.abs(np.diff(height, 2))[climbing[2:]].max() < 0.045
     treads = [np.unique(np.round(soles[~in_air[:, k], k, 1, 1].round(2) / 0.17)) for k in range(2)]
     assert len(np.union1d(*treads)) >= 15  # every step is used

@@ -24,6 +24,8 @@ BESIDE_M = 0.2
 """People climb from this far before the first riser on."""
 UP_SHARE, DOWN_SHARE = 0.2, 0.25
 """Shares of a swing within which the foot gets over the noses, and comes down from there."""
+EDGE_M = 0.015
+"""A swinging foot minds what is so far beyond its heel and toe tip: pitch and bend move them by some millimetres."""
 CLEAR_M = 0.02
 """Heel and toe tip pass over the noses at this height."""
 
@@ -114,7 +116,8 @@ def over_steps(heights, x, z, heading, heel, toe, low, high, share):
     c, s = math.cos(heading), math.sin(heading)
     under, nose = line, line
     for at in (heel, toe):
-        under = max(under, tread_at(heights, 0.0, x + c * at, z - s * at))
+        edge = at + math.copysign(EDGE_M, at)
+        under = max(under, tread_at(heights, 0.0, x + c * edge, z - s * edge))
         nose = max(nose, nose_at(heights, 0.0, x + c * at, z - s * at) + CLEAR_M)
     up, down = min(share / UP_SHARE, 1.0), min((1.0 - share) / DOWN_SHARE, 1.0)
     over = up * up * (3 - 2 * up) * down * down * (3 - 2 * down)
