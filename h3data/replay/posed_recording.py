@@ -298,7 +298,7 @@ class PosedRecording:
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     @cached_property
-    def heights(self) -> Array:
+    def heights(self) -> NDArray[np.float64]:
         """How high the floor of the recorded home is at a place (`h3data.scene.floor_heights`), [K, 10]; K = 0: it is level, or
         unknown."""
         return LEVEL if self.scene is None else room_heights(self.scene.rooms)

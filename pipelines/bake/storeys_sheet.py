@@ -96,7 +96,7 @@ def climbs(recording: Recording, agent: int) -> list[tuple[int, int, bool]]:
     y = recording.agent_column(agent, "base_pose")[:, 1].astype(np.float64)
     on = np.diff(np.concatenate([[False], (y > 0.02) & (y < y.max() - 0.02), [False]]).astype(int))
     spans = zip(np.flatnonzero(on == 1), np.flatnonzero(on == -1), strict=True)
-    return [(a, b, bool(y[b - 1] > y[a])) for a, b in spans if abs(y[b - 1] - y[a]) > 2.0]
+    return [(int(a), int(b), bool(y[b - 1] > y[a])) for a, b in spans if abs(y[b - 1] - y[a]) > 2.0]
 
 
 def film(

@@ -133,7 +133,7 @@ def build_from_scene(
     if used == "shapes":
         return build_from_walkable(walkable, **sizes, floor_y=level, key=key, heights=heights)
     rough = {"smooth_m": SMOOTH_VOXEL_M, "island_min_m2": ISLAND_MIN_VOXEL_M2}
-    return build_from_walkable(walkable, **sizes, **rough, floor_y=level, key=key)
+    return build_from_walkable(walkable, **sizes, **rough, floor_y=level, key=key, heights=heights)
 
 
 def build_from_walkable(

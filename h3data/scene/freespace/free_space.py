@@ -16,7 +16,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.geometry import ground_pose, sloped_pose
+from h3data.geometry import Array, ground_pose, sloped_pose
 from h3data.scene.floor_heights import STEPS, floor_heights
 from h3data.scene.freespace import store
 from h3data.scene.freespace._geodesic import first_leg, geodesic_many, path_pair
@@ -97,7 +97,7 @@ class FreeSpace(FloorMap):
         """Height [...] [m] of what a foot stands on at points [..., 2]: as `height_at`, but stairs have steps."""
         return floor_heights(self.heights, self.floor_y, points, treads=True)
 
-    def root_pose(self, xz: ArrayLike, heading_rad: ArrayLike, *, pitch_over_m: float = 0.0) -> NDArray[np.float64]:
+    def root_pose(self, xz: ArrayLike, heading_rad: ArrayLike, *, pitch_over_m: float = 0.0) -> Array:
         """pose7 [..., 7] of agent roots on the floor at points [..., 2] with headings [...].
 
         With ``pitch_over_m`` roots pitch with the floor under the ends of a base of that length, at their mean height; others
