@@ -9,6 +9,7 @@ and keeps the floating dtype of its operands.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -305,4 +306,22 @@ def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0)
     y = np.broadcast_to(np.asarray(floor_y, xz.dtype), xz.shape[:-1])
     out = np.empty((*xz.shape[:-1], 7), xz.dtype)
     out[..., 0], out[..., 1], out[..., 2], out[..., 3:] = xz[..., 0], y, xz[..., 1], q
+    return out
+
+
+def sloped_pose(
+    height_at: Callable[[Array], Array], xz: ArrayLike, heading_rad: ArrayLike, length_m: float = 0.0
+) -> Array:
+    """As `ground_pose` on a floor whose height at points [..., 2] a function says. Roots of a length above 0 pitch with the
+    floor under their two ends and are at its mean height there; others stay upright."""
+    xz = np.asarray(xz, np.float64)
+    heading = np.broadcast_to(np.asarray(heading_rad, np.float64), xz.shape[:-1])
+    if length_m <= 0.0:
+        return ground_pose(xz, heading, height_at(xz))
+    ahead = length_m / 2 * np.stack([np.cos(heading), -np.sin(heading)], -1)
+    front, back = height_at(xz + ahead), height_at(xz - ahead)
+    out = ground_pose(xz, heading, (front + back) / 2)
+    half = np.arctan2(front - back, length_m) / 2
+    pitch = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], -1)
+    out[..., 3:] = quat_multiply(out[..., 3:], pitch)
     return out

@@ -14,7 +14,7 @@ A world of one is W = 1. Motion, contact and arms are those of the kernels in `s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -31,7 +31,7 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
-from sim_kinematic.contact.frames import body_frames, body_shapes, shape_frames
+from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, shape_frames
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
@@ -145,6 +145,8 @@ class World:
         """The map of each world."""
         self.groups: list[tuple[FreeSpace, Rows]] = []
         """The worlds that share a map: it and their indices."""
+        self._uneven: tuple[tuple[FreeSpace, Rows], ...] = ()
+        """Those of the groups whose floor is not level."""
         self.blocked = np.zeros((self.worlds, len(self.roster)), np.bool_)
         """Agents that touched an obstacle in the last step, [W, A]."""
         self.pairs = tuple(combinations(range(len(self.roster)), 2))
@@ -152,7 +154,7 @@ class World:
         self.touching = np.zeros((self.worlds, len(self.pairs)), np.bool_)
         """Pairs that touch after the last step, [W, P]."""
         self.floor_y: Array = np.zeros(self.worlds)
-        """Height of the floor in each world [m], [W]."""
+        """Height of the floor in each world [m], [W]; of the lowest storey (`heights`)."""
         self.rows = np.arange(self.worlds)
         """Numbers of all worlds, [W]."""
         self._kept: dict[int, Posture] = {}
@@ -178,6 +180,7 @@ class World:
         number = {id(free): k for k, free in enumerate(dict.fromkeys(self.floors))}
         of = np.array([number[id(free)] for free in self.floors])
         self.groups = [(self.floors[g[0]], g) for g in (np.flatnonzero(of == k) for k in np.unique(of))]
+        self._uneven = tuple((free, group) for free, group in self.groups if len(free.heights))
         self._kept.clear()
         self.blocked[rows] = False
         self.touching[rows] = self._touching(rows)
@@ -205,7 +208,7 @@ class World:
                     continue
                 values = command[0][at]
                 if isinstance(own, RobotState):
-                    drive_robots(own, free, values, self.bases[k])
+                    drive_robots(own, self._driven_on(k, free), values, self.bases[k])
                     self.blocked[at, k] = own.contact
                     continue
                 if isinstance(command, WalkTo):
@@ -224,6 +227,24 @@ class World:
             if isinstance(command, Keep):
                 self._keep(k, command)
         self.touching = self._touching(self.rows)
+
+    def heights(self, xz: Array) -> Array:
+        """Height of the floor at a place (x, z) in each world, [W, 2] -> [W] [m]."""
+        if not self._uneven:
+            return self.floor_y
+        height = self.floor_y.copy()
+        for free, group in self._uneven:
+            height[group] = free.height_at(xz[group])
+        return height
+
+    def roots(self, agent: int, rows: Rows) -> Array:
+        """pose7 [n, 7] of an agent's roots in the worlds ``rows`` [n]."""
+        own, body = self.state.agents[agent], self.roster[agent].body
+        poses = ground_pose(own.xz[rows], own.heading[rows], self.floor_y[rows])
+        for free, group in self._uneven:
+            at = np.isin(rows, group)
+            poses[at] = root_pose(body, own.xz[rows[at]], own.heading[rows[at]], free)
+        return poses
 
     def geodesic(self, a: int, b: int, rows: Rows | None = None) -> Array:
         """Lengths [n] [m] of the shortest paths between two agents in the worlds ``rows`` [n] (default: all)."""
@@ -288,6 +309,11 @@ class World:
             )
         return np.concatenate(discs, axis=1)
 
+    def _driven_on(self, agent: int, free: FreeSpace) -> FreeSpace:
+        """The map on which a robot moves: to one that does not climb, stairs are walls."""
+        body = self.roster[agent].body
+        return free if not free.has_stairs or (isinstance(body, Robot) and body.climbs_stairs) else free.without_stairs
+
     def _keep(self, agent: int, command: Keep) -> None:
         own = self.state.agents[agent]
         if isinstance(own, HumanState):
@@ -296,7 +322,7 @@ class World:
 
     def _touching(self, rows: Rows) -> NDArray[np.bool_]:
         """Pairs that touch in the worlds ``rows`` [n], [n, P]."""
-        return self._contact.touching(self.state, rows, self.floor_y, self.posture, self.walker.speed_mps)
+        return self._contact.touching(self, rows)
 
 
 @kernel(error_model="numpy")
@@ -329,15 +355,8 @@ class _PairContacts:
         self._others = [p for p, own in enumerate(self._of) if own is None]
         self._contacts = AgentContacts(*(body_shapes(m.body) for m in roster)) if self._others else None
 
-    def touching(
-        self,
-        state: WorldState,
-        rows: Rows,
-        floor_y: Array,
-        posture: Callable[[int, Rows], Posture],
-        speed_mps: float,
-    ) -> NDArray[np.bool_]:
-        agents = state.agents
+    def touching(self, world: World, rows: Rows) -> NDArray[np.bool_]:
+        agents = world.state.agents
         result = np.zeros((len(rows), len(self._pairs)), np.bool_)
         for p, ((a, b), contact) in enumerate(zip(self._pairs, self._of, strict=True)):
             gate = self._reach[a] + self._reach[b] if contact is None else contact.gate_m + 1e-3
@@ -349,21 +368,21 @@ class _PairContacts:
                 continue
             at = rows[near]
             result[near, p] = contact.touching_many(
-                ground_pose(agents[a].xz[at], agents[a].heading[at], floor_y[at]).astype(np.float32),
-                ground_pose(agents[b].xz[at], agents[b].heading[at], floor_y[at]).astype(np.float32),
-                *posture(b, at),
+                world.roots(a, at).astype(np.float32),
+                world.roots(b, at).astype(np.float32),
+                *world.posture(b, at),
             )
         if self._contacts is not None:
-            self._decide(state, rows, floor_y, result, speed_mps)
+            self._decide(world, rows, result)
         return result
 
-    def _decide(self, state: WorldState, rows: Rows, floor_y: Array, near: NDArray[np.bool_], speed_mps: float) -> None:
+    def _decide(self, world: World, rows: Rows, near: NDArray[np.bool_]) -> None:
         """Ask FCL about the near pairs that are not a robot and a person, in place."""
         assert self._contacts is not None
         for k in np.flatnonzero(near[:, self._others].any(1)):
             w = rows[k]
-            for number, (member, own) in enumerate(zip(self._roster, state.agents, strict=True)):
-                frames = body_frames(member.body, own.take([w]), float(floor_y[w]), speed_mps=speed_mps)
+            for number, (member, own) in enumerate(zip(self._roster, world.state.agents, strict=True)):
+                frames = body_frames(member.body, own.take([w]), world.floors[w], speed_mps=world.walker.speed_mps)
                 self._contacts.update(number, shape_frames(member.body, frames)[0])
             for p in self._others:
                 near[k, p] = near[k, p] and self._contacts.collides(*self._pairs[p])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.planted_gait import planted_states, pose_planted
+from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
 from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
 from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
 from h3data.bodies.robots.trot import legs_are_posed, trot
@@ -35,6 +35,7 @@ from h3data.replay.records import (
 )
 from h3data.scene import Mesh, Scene, load_scene
 from h3data.scene.articulation import SceneJoints, joints_of
+from h3data.scene.floor_heights import LEVEL, room_heights
 
 
 class PosedRecording:
@@ -235,7 +236,7 @@ class PosedRecording:
         """Joint positions of a robot at all steps as they are shown, shape [T, J]: its legs may trot (``stepping``)."""
         base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
         if self.stepping and legs_are_posed(robot, joints):
-            return trot(robot, base, joints, even_strides=not self.plants_feet)
+            return trot(robot, base, joints, even_strides=not self.plants_feet, heights=self.heights)
         return joints
 
     def _part_poses(self, agent: int, body: Humanoid) -> tuple[Callable[[NDArray[np.integer]], Array], int, int]:
@@ -281,7 +282,7 @@ class PosedRecording:
             return body.joint_matrices_free(columns[prefix + "root_pose"][steps], columns[prefix + "joint_quat"][steps])
         arms = columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None
         if self.stepping and self.plants_feet:
-            quats, pelvis = pose_planted(body.gait_tables, self._gait_of(agent, body)[steps])
+            quats, pelvis = pose_planted(on_stairs(body.gait_tables, self.heights), self._gait_of(agent, body)[steps])
             if arms is not None:
                 draw_in(quats, arms, shoulders_forward=True)
             return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
@@ -297,6 +298,12 @@ class PosedRecording:
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     @cached_property
+    def heights(self) -> NDArray[np.float64]:
+        """How high the floor of the recorded home is at a place (`h3data.scene.floor_heights`), [K, 10]; K = 0: it is level, or
+        unknown."""
+        return LEVEL if self.scene is None else room_heights(self.scene.rooms)
+
+    @cached_property
     def plants_feet(self) -> bool:
         """Whether people who are recorded by clips walk with planted feet (`h3data.bodies.people.planted_gait`), and strides of
         robots depend on their speed (`h3data.bodies.robots.trot`): since schema 1.5. Older recordings are posed as they were
@@ -307,7 +314,7 @@ class PosedRecording:
         if agent not in self._gaits:
             base = self.recording.agent_column(agent, "base_pose")
             time_s = self.recording.columns["time_ns"].astype(np.float64) * 1e-9
-            self._gaits[agent] = planted_states(body.gait_tables, base, time_s)
+            self._gaits[agent] = planted_states(on_stairs(body.gait_tables, self.heights), base, time_s)
         return self._gaits[agent]
 
     @cached_property

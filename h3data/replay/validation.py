@@ -26,6 +26,7 @@ from h3data.recording.records import JOINTS
 from h3data.replay.replay import Replay
 from h3data.scene import FreeSpace, load_scene
 from h3data.scene.articulation import joints_of
+from h3data.scene.floor_heights import floor_heights
 
 Check = Literal[
     "unreadable", "schema", "time", "values", "quaternions", "hash", "jumps", "penetration", "feet", "assets", "video"
@@ -323,7 +324,7 @@ def _in_walls(rec: Recording, replay: Replay) -> Iterator[Finding]:
         return
     for i, agent in enumerate(rec.agents):
         root = rec.agent_column(i, "base_pose")[:, :3].astype(np.float64)
-        on_storey = np.isfinite(root).all(axis=1) & (np.abs(root[:, 1] - free.floor_y) < 0.5)
+        on_storey = np.isfinite(root).all(axis=1) & (np.abs(root[:, 1] - free.height_at(root[:, [0, 2]])) < 0.5)
         depth = np.full(len(root), -np.inf)
         depth[on_storey] = -free.signed_distance(root[on_storey][:, [0, 2]])
         if (depth > WALL_M).any():
@@ -332,7 +333,8 @@ def _in_walls(rec: Recording, replay: Replay) -> Iterator[Finding]:
 
 
 def _feet(replay: Replay, agent: int) -> Iterator[Finding]:
-    """Soles in the floor, and feet that slide while carrying; the floor is assumed at the height of the root."""
+    """Soles in the floor, and feet that slide while carrying; the floor is at the height of the root, or of the tread that is
+    below."""
     rec, body = replay.recording, replay.model(agent)
     assert isinstance(body, Humanoid)
     parts = []
@@ -340,11 +342,14 @@ def _feet(replay: Replay, agent: int) -> Iterator[Finding]:
         steps = np.arange(start, min(start + _FEET_CHUNK, len(rec)))
         parts.append(sole_points(body, replay.joint_matrices(agent, steps)[:, LEG_JOINTS]))
     points = np.concatenate(parts)  # [T, 2 feet, 3 points, xyz]
-    points[..., 1] -= rec.agent_column(agent, "base_pose")[:, 1, None, None]
+    if len(replay.heights):
+        points[..., 1] -= floor_heights(replay.heights, 0.0, points[..., ::2], treads=True)
+    else:
+        points[..., 1] -= rec.agent_column(agent, "base_pose")[:, 1, None, None]
     lowest = points[..., 1].min(axis=(1, 2))
     name = rec.agents[agent].name
     if (lowest < -SINK_M).any():
-        text = f"a sole is {-np.nanmin(lowest):.2f} m below the root"
+        text = f"a sole is {-np.nanmin(lowest):.2f} m below the {'tread' if len(replay.heights) else 'root'}"
         yield _warning("penetration", name, text, at=lowest < -SINK_M)
     if len(rec) < 2:
         return

@@ -1,6 +1,7 @@
 """Homes: their furniture and objects, procedural generation, and the floor that agents can walk on.
 
 - `records`: assets, instances, rooms, lights; `scene_file` stores them as GLB, `scene_json` as JSON records and a digest
+- `floor_heights`: how high the floor is at a place, where a home has several storeys
 - `articulation`: poses of doors and drawers, and of scenes in which they are open
 - `homes`: the generator of furnished homes
 - `freespace`: geodesic distances and paths on the free floor
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
         Joint,
         LightSource,
         Part,
+        Ramp,
         Receptacle,
         Room,
         Scene,
@@ -47,7 +49,7 @@ _MODULES = {
     "h3data.scene.freespace.free_space": "FreeSpace",
     "h3data.scene.homes": "CATEGORIES HOME_PRESETS HomePreset HomeSpec build_home",
     "h3data.scene.records": "Articulation Asset Box Capsule Cylinder Hull Instance Joint LightSource Part "
-    "Receptacle Room Scene Shape instance_bounds instance_matrix",
+    "Ramp Receptacle Room Scene Shape instance_bounds instance_matrix",
     "h3data.scene.scene_file": "load_scene save_scene",
     "h3data.scene.scene_json": "scene_digest",
 }
@@ -70,6 +72,7 @@ __all__ = [
     "LightSource",
     "Mesh",
     "Part",
+    "Ramp",
     "Receptacle",
     "Room",
     "Scene",

@@ -111,6 +111,22 @@ class Instance:
     """Names of the asset's receptacles that may be used here; None = all."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Ramp:
+    """A straight flight of stairs in a room: its floor rises from `Room.floor_y` to ``top_y`` and is level at both ends."""
+
+    axis: Literal[0, 1]
+    """Plan axis along which it rises: 0 = x, 1 = z."""
+    start: float
+    """Coordinate on that axis of its lower end [m]."""
+    end: float
+    """Coordinate of its upper end [m]; smaller than ``start`` if it rises towards lower coordinates."""
+    top_y: float
+    """Height of the floor above it [m]."""
+    steps: int
+    """Number of risers. They stand in the middle of equal parts, so the ramp passes through the middle of every tread."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Room:
     """A named floor area."""
@@ -120,6 +136,9 @@ class Room:
     rectangles: NDArray[np.float64]
     """Disjoint rectangles ``x0 z0 x1 z1`` that make up the room, shape [R, 4] [m]."""
     floor_y: float = 0.0
+    """Height of its floor; of its lower end if it has a ramp [m]."""
+    ramp: Ramp | None = None
+    """Stairs to a room on another storey."""
 
 
 # --- things that open --------------------------------------------------------------------------------------------------

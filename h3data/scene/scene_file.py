@@ -55,9 +55,9 @@ from h3data.scene.scene_json import (
 from h3data.srgb import bytes_to_linear
 
 FORMAT_NAME = "h3data.scene"
-FORMAT_VERSION = (1, 2)
-"""Major, minor. A reader refuses a newer major version and ignores unknown fields. 1.1 added textures, 1.2 articulated things;
-a file without them is of 1.1, the same bytes as before."""
+FORMAT_VERSION = (1, 3)
+"""Major, minor. A reader refuses a newer major version and ignores unknown fields. 1.1 added textures, 1.2 articulated things,
+1.3 stairs; a file without the last two is of 1.1, the same bytes as before."""
 
 _LINEAR, _MIPMAPS = 9729, 9987
 
@@ -175,7 +175,7 @@ def scene_bytes(scene: Scene) -> bytes:
     things = [articulation_record(thing) for thing in scene.articulations]
     extras = {
         "format": FORMAT_NAME,
-        "version": list(FORMAT_VERSION if scene.articulations else (1, 1)),
+        "version": [1, 3 if any(r.ramp for r in scene.rooms) else 2 if scene.articulations else 1],
         "name": scene.name,
         "source": dict(scene.source),
         "rooms": [room_record(r) for r in scene.rooms],

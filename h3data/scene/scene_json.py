@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import struct
@@ -25,6 +26,7 @@ from h3data.scene.records import (
     LightKind,
     LightSource,
     Part,
+    Ramp,
     Receptacle,
     Room,
     Scene,
@@ -120,12 +122,13 @@ def read_instance(record: dict[str, Any]) -> Instance:
 
 def room_record(r: Room) -> dict[str, Any]:
     """A room as plain JSON."""
-    return {
+    record: dict[str, Any] = {
         "name": r.name,
         "category": r.category,
         "rectangles": floats(r.rectangles),
         "floor_y": float(r.floor_y),
     }
+    return record if r.ramp is None else {**record, "ramp": dataclasses.asdict(r.ramp)}
 
 
 def read_room(record: dict[str, Any]) -> Room:
@@ -135,7 +138,23 @@ def read_room(record: dict[str, Any]) -> Room:
         category=str(record["category"]),
         rectangles=_array(record["rectangles"], None, 4),
         floor_y=float(record["floor_y"]),
+        ramp=None if (ramp := record.get("ramp")) is None else _read_ramp(ramp),
     )
+
+
+def _read_ramp(record: dict[str, Any]) -> Ramp:
+    ramp = Ramp(
+        axis=record["axis"],
+        start=float(record["start"]),
+        end=float(record["end"]),
+        top_y=float(record["top_y"]),
+        steps=int(record["steps"]),
+    )
+    if ramp.axis not in (0, 1) or not np.isfinite([ramp.start, ramp.end, ramp.top_y]).all():
+        raise ValueError("a ramp needs an axis, 0 or 1, and finite ends")
+    if ramp.start == ramp.end or ramp.steps < 1:
+        raise ValueError("a ramp needs two different ends and at least 1 step")
+    return ramp
 
 
 def light_record(light: LightSource) -> dict[str, Any]:

@@ -161,6 +161,7 @@ class _Home(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     articulated: bool = False
     generation: int = 1
     style: Look | None = None
+    storeys: int = 1
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

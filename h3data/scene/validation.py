@@ -81,18 +81,21 @@ def find_problems(scene: Scene, loose: FreeSpace, *, radius_m: float = 0.25) -> 
     islands = sorted((p for p in shapely.get_parts(free) if p.area >= ISLAND_MIN_M2), key=lambda p: -p.area)
     floor = loose.floor_y
     main = islands[0] if islands else shapely.Polygon()
-    return [
-        *_islands(scene, islands, floor, radius_m),
-        *_rooms(scene, main, floor),
+    on_floor = [
+        *_islands(scene, islands, loose, radius_m),
+        *_rooms(scene, main, loose),
         *tight_gaps(loose.polygon, floor, radius_m=radius_m),
-        *_receptacles(scene, main),
-        *_resting(scene, floor),
     ]
+    for problem in on_floor:
+        if problem.position is not None:
+            problem.position[1] = loose.height_at(problem.position[[0, 2]])
+    return [*on_floor, *_receptacles(scene, main), *_resting(scene, loose)]
 
 
-def _islands(scene: Scene, islands: Sequence[BaseGeometry], floor: float, radius_m: float) -> Iterable[Problem]:
+def _islands(scene: Scene, islands: Sequence[BaseGeometry], loose: FreeSpace, radius_m: float) -> Iterable[Problem]:
     for k, island in enumerate(islands[1:], 1):
         point = island.representative_point()
+        floor = float(loose.height_at([point.x, point.y]))
         between = _standing_between(scene, islands[0], island, floor, radius_m)
         text = f"{island.area:.2f} m2 of free floor are cut off from the largest island ({islands[0].area:.2f} m2)"
         if between:
@@ -118,9 +121,10 @@ def _standing_between(
     return names
 
 
-def _rooms(scene: Scene, main: BaseGeometry, floor: float) -> Iterable[Problem]:
+def _rooms(scene: Scene, main: BaseGeometry, loose: FreeSpace) -> Iterable[Problem]:
+    floor = loose.floor_y
     for room in scene.rooms:
-        if abs(room.floor_y - floor) > 0.5:
+        if not len(loose.heights) and abs(room.floor_y - floor) > 0.5:
             continue  # another storey, which this free space does not cover
         area = shapely.union_all([shapely.box(*r) for r in np.asarray(room.rectangles, np.float64)])
         inside = main.intersection(area).area
@@ -205,7 +209,7 @@ def hull_fills_hollows(asset: Asset) -> bool:
 
 
 # --- objects that do not rest on anything -----------------------------------------------------------------------------
-def _resting(scene: Scene, floor: float) -> Iterable[Problem]:
+def _resting(scene: Scene, loose: FreeSpace) -> Iterable[Problem]:
     """Kinematic objects with nothing below them, or partly below the surface of their receptacle."""
     movable = [i for i in scene.instances if i.motion == "kinematic" and len(scene.assets[i.asset].mesh.vertices)]
     if not movable:
@@ -224,7 +228,7 @@ def _resting(scene: Scene, floor: float) -> Iterable[Problem]:
             yield Problem(kind="sunk", subject=thing.name, text=text, position=middle)
             continue
         gap = float(low[1] - _support(scene, boxes, thing, points, low))
-        above_floor = float(low[1] - floor)
+        above_floor = float(low[1] - loose.height_at(middle[[0, 2]]))
         if -SINK_M > above_floor > -0.5 and gap > FLOAT_M:
             text = f"its underside is {-100 * above_floor:.1f} cm below the floor"
             yield Problem(kind="sunk", subject=thing.name, text=text, position=middle)

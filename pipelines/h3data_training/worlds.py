@@ -56,7 +56,7 @@ class CpuCameras:
             if home not in self._drawn:
                 speed = self._walker.speed_mps
                 self._drawn[home] = StateRenderer(self._scenes[home], self._bodies, speed_mps=speed)
-            self._drawn[home].pose(state.take(np.array([w])), floor_y=self._floors[home])
+            self._drawn[home].pose(state.take(np.array([w])), floor=self._floors[home])
             for name, picture in sensor.observe(self._drawn[home]).items():
                 taken[name].append(picture[0])
         return {name: torch.as_tensor(np.stack(pictures))[None] for name, pictures in taken.items()}

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import Robot
 from h3data.bodies.people.kernels.tuple_math import from_axes, inverse, multiply, plus, turned
 from h3data.errors import InputError
-from h3data.geometry import ground_pose
 from h3data.kernels import kernel
+from sim_kinematic.contact.frames import Floor, root_pose
 from sim_kinematic.motion.spec import ArmSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT, RobotState, WorldState
 from sim_kinematic.motion.step import first_not_finite
@@ -55,9 +55,9 @@ def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec)
         raise InputError(f"Actions must be finite. That of world {broken} is {rows[broken]}.")
 
 
-def robot_hands(state: RobotState, robot: Robot, floor_y: float = 0.0) -> NDArray[np.float64]:
+def robot_hands(state: RobotState, robot: Robot, floor: Floor = 0.0) -> NDArray[np.float64]:
     """Where a robot holds things: frames of its hand at ``hand_position``, shape [W, 4, 4], hand to world."""
-    base = ground_pose(state.xz, state.heading, floor_y)
+    base = root_pose(robot, state.xz, state.heading, floor)
     hands = robot.link_matrices(base, _checked_joints(state, robot))[:, robot.hand_link]
     hands[:, :3, 3] += hands[:, :3, :3] @ robot.hand_position
     return np.ascontiguousarray(hands)

@@ -433,13 +433,19 @@ class Person:
         self.transition = Transition("walk")
 
     def stride(self, gait: HumanState | None = None) -> None:
-        """One step of the feet while the root gets to where ``gait`` (one world) is, at the height of the floor so far, or
-        stays where it is; hands that hold something keep carrying it."""
+        """One step of the feet while the root gets to where ``gait`` (one world) is, or stays where it is; hands that hold
+        something keep carrying it."""
         if gait is not None:
-            self.base = ground_pose(gait.xz[0], gait.heading[0], float(self.base[1]))
+            self.base = self.root_at(gait)
         self.walk.step(self.base)
         quats, pelvis = self.walk.pose()
         self.show("walk", self.with_arms(quats), pelvis)
+
+    def root_at(self, gait: HumanState) -> Array:
+        """pose7 of the root where ``gait`` (one world) is: on the floor of the map, at the height so far if that is level."""
+        if self.free is not None and len(self.free.heights):
+            return self.free.root_pose(gait.xz[0], gait.heading.item(0))
+        return ground_pose(gait.xz[0], gait.heading[0], float(self.base[1]))
 
     def leave(self) -> None:
         """Blend the next poses, of whatever motion, with this one."""

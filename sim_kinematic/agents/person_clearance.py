@@ -16,6 +16,7 @@ from h3data.bodies import Humanoid
 from h3data.bodies.people.reach import Hand
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_inverse, pose_multiply, pose_to_matrix
 from h3data.scene import Scene
+from h3data.scene.floor_heights import floor_heights, room_heights
 from sim_kinematic.agents.person import Person
 from sim_kinematic.contact import MovingShapes, capsule_transforms, shapes_from_capsules
 from sim_kinematic.contact.clearance import scenery_of, supports
@@ -47,7 +48,8 @@ class ReachRoom:
     """Asks for one scene and one person."""
 
     def __init__(self, scene: Scene, body: Humanoid, floor_y: float) -> None:
-        self._scenery, self._body, self._floor_y = scenery_of(scene), body, floor_y
+        self._scenery, self._body = scenery_of(scene), body
+        self._floor_y, self._heights = floor_y, room_heights(scene.rooms)
         start, end, radius = body.capsules_world(np.tile(np.eye(4), (1, 55, 1, 1)))
         thinner = shapes_from_capsules(start[0], end[0], np.maximum(radius - TOLERANCE_M, 0.25 * radius))
         self._parts: dict[Hand, tuple[_Part, _Part]] = {}
@@ -72,7 +74,8 @@ class ReachRoom:
         return self._answers[asked]
 
     def _is_clear(self, stand: Array, point: Array, hand: Hand) -> bool:
-        base = ground_pose(stand[:2], float(stand[2]), self._floor_y)
+        floor_y = float(floor_heights(self._heights, self._floor_y, stand[:2]))
+        base = ground_pose(stand[:2], float(stand[2]), floor_y)
         frames = pose_to_matrix(base) @ self._capsules(base, point, hand)
         trunk, arm = self._parts[hand]
         if trunk.shapes.touches_along(self._scenery, frames[:, trunk.rows]):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.people.reach import Hand, reacher
-from h3data.geometry import Array, ground_pose, heading_from_quat
+from h3data.geometry import Array, heading_from_quat
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.opening.openables import Openables, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
@@ -506,7 +506,7 @@ class PersonActor:
         return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
 
     def _reaches(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
-        seen = Person(self.person.body, ground_pose(stand[:2], float(stand[2]), self.free.floor_y)).seen(point)
+        seen = Person(self.person.body, self.free.root_pose(stand[:2], float(stand[2]))).seen(point)
         return bool(reacher(self.person.body, hand).reachable(seen[None])[0])
 
     def _has_room(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:

@@ -16,6 +16,7 @@ from h3data.bodies import Robot
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_to_matrix
 from h3data.scene import Scene
 from h3data.scene.articulation import joints_of
+from h3data.scene.floor_heights import floor_heights, room_heights
 from h3data.scene.records import Capsule
 from sim_kinematic.agents.arm_contact import arm_links
 from sim_kinematic.agents.hand_reach import hand_target, is_beyond_reach, reach_posture
@@ -46,7 +47,8 @@ class ArmClearance:
     """Asks for one scene and one robot."""
 
     def __init__(self, scene: Scene, robot: Robot, floor_y: float) -> None:
-        self._scenery, self._robot, self._floor_y = scenery_of(scene), robot, floor_y
+        self._scenery, self._robot = scenery_of(scene), robot
+        self._floor_y, self._heights = floor_y, room_heights(scene.rooms)
         links, hand = arm_links(robot), robot.hand_link
         rest = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
         self._shoulder = np.asarray(rest[links[0], :3, 3], np.float64)
@@ -75,7 +77,7 @@ class ArmClearance:
         return _remembered(self._open, self._is_open, stand, point)
 
     def _is_open(self, stand: Array, point: Array) -> bool:
-        base = pose_to_matrix(ground_pose(stand[:2], float(stand[2]), self._floor_y))
+        base = pose_to_matrix(ground_pose(stand[:2], float(stand[2]), self._floor_at(stand)))
         shoulder = base[:3, :3] @ self._shoulder + base[:3, 3]
         over = np.asarray(point, np.float64) + np.array([0.0, APPROACH_M, 0.0])
         raised = np.array([shoulder[0], over[1], shoulder[2]])
@@ -89,6 +91,9 @@ class ArmClearance:
         line.set_transforms(frames)
         return not collide(self._scenery, line)
 
+    def _floor_at(self, stand: Array) -> float:
+        return float(floor_heights(self._heights, self._floor_y, stand[:2]))
+
     def _drawer_of(self, point: Array) -> set[str]:
         """The drawer in which a world point [3] lies, if there is one."""
         return supports(self._scenery, point) & self._drawers if self._drawers else set()
@@ -101,9 +106,9 @@ class ArmClearance:
     def _is_clear(self, stand: Array, point: Array) -> bool:
         if not self.is_open(stand, point):
             return False
-        base = pose_to_matrix(ground_pose(stand[:2], float(stand[2]), self._floor_y))
+        base = pose_to_matrix(ground_pose(stand[:2], float(stand[2]), self._floor_at(stand)))
         distance = float(np.hypot(*(np.asarray(point, np.float64)[[0, 2]] - stand[:2])))
-        way = self._way(round(distance, 3), round(float(point[1]) - self._floor_y, 3))
+        way = self._way(round(distance, 3), round(float(point[1]) - self._floor_at(stand), 3))
         if way is None:
             return False
         inside = self._drawer_of(point)

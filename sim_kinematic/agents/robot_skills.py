@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
+from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.hand_reach import hand_turn, is_beyond_reach, reach_bearing, reach_distances, reach_posture
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
@@ -26,6 +26,7 @@ from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, w
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import braking_speed, eased, is_crowded, keep_clear
 from sim_kinematic.avoidance.yielding import NO_PATH, Seen, avoided, discs_of, path_around, retreat_place
+from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT, RobotState
 from sim_kinematic.motion.step import drive_robots
@@ -161,7 +162,7 @@ class RobotActor:
     @property
     def pose(self) -> Array:
         """pose7 of the agent root."""
-        return ground_pose(self.xz, self.heading, self.free.floor_y)
+        return root_pose(self.robot, self.xz, self.heading, self.free)
 
     @property
     def hand_pose(self) -> Array:
@@ -277,7 +278,7 @@ class RobotActor:
         drive_robots(self.state, self.free, action[None, :2], self.base)
         move_arms(self.state, robot, action[None, 2:-1], rules)
         self.arm_goal = self.joints.copy()
-        hand = robot_hands(self.state, robot, self.free.floor_y)
+        hand = robot_hands(self.state, robot, self.free)
         grip_objects(state, hand, action[-1:], rules, agent=self.number)
         yield
         return Ending("done")
@@ -308,7 +309,7 @@ class RobotActor:
         stands = robot_stands(self.free, self.robot, self.base, way[0])
         base = self.base
         stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
-        reach = reach_distances(self.robot, float(way[-1, 1]) - self.free.floor_y)
+        reach = reach_distances(self.robot, float(way[-1, 1] - self.free.height_at(way[-1, [0, 2]])))
         least, most = float(np.min(reach, initial=np.inf)), float(np.max(reach, initial=0.0))
         ends = np.hypot(*(stands[:, :2] - way[-1, [0, 2]]).T)
         for near in (stands[(ends >= least) & (ends <= most)], stands):

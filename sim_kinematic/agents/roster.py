@@ -41,6 +41,12 @@ class AgentSpec:
     body: Body
 
 
+def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
+    """The map on which all agents of an episode can get everywhere: without its stairs if one of them cannot climb those."""
+    stays = any(isinstance(member.body, Robot) and not member.body.climbs_stairs for member in roster)
+    return free.without_stairs if stays else free
+
+
 def make_roster(
     agents: str | Sequence[str], *, robot: str = ROBOT_BODY, human: str = HUMAN_BODY
 ) -> tuple[AgentSpec, ...]:

@@ -9,11 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.reach import Hand, reacher
-from h3data.geometry import Array, ground_pose
+from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.hand_reach import reach_bearing, reach_distances
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.contact.clearance import clear_of_furniture
+from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.step import least_clearance
 
@@ -29,6 +30,8 @@ CROWDED_M = 100.0
 """A path longer by this is taken rather than standing where another agent stands."""
 ROOM_M = 0.02
 """Free space around a robot's base where it stands and turns."""
+LEVEL_M = 0.01
+"""Floors that differ by less are one."""
 
 
 def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right") -> Array:
@@ -36,11 +39,11 @@ def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand 
     point = np.asarray(point, np.float64)
     side = HAND_SIDE_RAD if hand == "right" else -HAND_SIDE_RAD
     distances = np.array(PERSON_DISTANCES_M)
-    height = point[1] - free.floor_y
+    height = point[1] - float(free.height_at(point[[0, 2]]))
     d = np.concatenate([distances - SWAY_M, distances, distances + SWAY_M])
     points = np.stack([d * np.cos(side), np.full_like(d, height), d * np.sin(side)], axis=1)
     fine = reacher(body, hand).reachable(points).reshape(3, -1).all(0)
-    return _on_island(free, _ring(point, distances[fine], side))
+    return _on_island(free, point, _ring(point, distances[fine], side))
 
 
 def robot_fits(robot: Robot, rules: BaseSpec, scene: Scene, free: FreeSpace) -> Callable[[Array, float], bool]:
@@ -51,7 +54,9 @@ def robot_fits(robot: Robot, rules: BaseSpec, scene: Scene, free: FreeSpace) -> 
 
     def fits(xz: Array, heading: float) -> bool:
         leads_on = floor is free or int(floor.island(xz)) == 0
-        return leads_on and discs_fit(free, base, xz, heading) and clear(ground_pose(xz, heading, free.floor_y))
+        return (
+            leads_on and discs_fit(free, base, xz, heading) and clear(root_pose(robot, np.asarray(xz), heading, free))
+        )
 
     return fits
 
@@ -67,8 +72,8 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
     """Returns stands ``(x, z, heading)`` [N, 3] from which a robot's hand reaches a world point [3] [m]
     (`sim_kinematic.agents.hand_reach`), and at which its base can turn all the way around."""
     point = np.asarray(point, np.float64)
-    distances = reach_distances(robot, float(point[1] - free.floor_y))
-    stands = _on_island(free, _ring(point, distances, -reach_bearing(robot)))
+    distances = reach_distances(robot, float(point[1] - free.height_at(point[[0, 2]])))
+    stands = _on_island(free, point, _ring(point, distances, -reach_bearing(robot)))
     radius = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + ROOM_M
     return stands[free.signed_distance(stands[:, :2]) >= radius]
 
@@ -100,6 +105,10 @@ def _ring(point: Array, distances: Array, side: float) -> Array:
     return np.stack([x, z, angle + side], axis=1)
 
 
-def _on_island(free: FreeSpace, stands: Array) -> Array:
+def _on_island(free: FreeSpace, point: Array, stands: Array) -> Array:
+    """Those of the stands round a world point that are on the largest island, and on the storey of the point: not on stairs."""
     island: NDArray[np.int32] = free.island(stands[:, :2])
+    if len(free.heights):
+        level = np.abs(free.height_at(stands[:, :2]) - free.height_at(point[[0, 2]])) < LEVEL_M
+        return stands[(island == 0) & level]
     return stands[island == 0]

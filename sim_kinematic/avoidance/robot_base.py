@@ -106,7 +106,7 @@ def _wider_floor(robot: Robot, radius_m: float, scene: Scene, free: FreeSpace) -
             height_m=free.height_m,
             max_climb_m=free.max_climb_m,
             cell_m=free.cell_m,
-            floor_y=free.floor_y,
+            floor_y=None if len(free.heights) else free.floor_y,
         )
     except SceneError:
         floor = None

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose
-from h3data.scene import Shape
+from h3data.scene import FreeSpace, Shape
 from sim_kinematic.contact import capsule_transforms, shapes_from_capsules
 from sim_kinematic.motion.gait import cycle_phase
 from sim_kinematic.motion.spec import WalkerSpec
@@ -33,12 +33,23 @@ def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
         )
 
 
-def body_frames(body: Body, state: AgentState, floor_y: float = 0.0, *, speed_mps: float | None = None) -> Array:
+Floor = FreeSpace | float
+"""A map, or the height of a level floor [m]."""
+
+
+def root_pose(body: Body, xz: Array, heading: ArrayLike, floor: Floor = 0.0) -> Array:
+    """pose7 [..., 7] of the roots of an agent at ``xz`` [..., 2]. On stairs robots pitch, people stay upright."""
+    if not isinstance(floor, FreeSpace):
+        return ground_pose(xz, heading, floor)
+    return floor.root_pose(xz, heading, pitch_over_m=body.climbing_length_m if isinstance(body, Robot) else 0.0)
+
+
+def body_frames(body: Body, state: AgentState, floor: Floor = 0.0, *, speed_mps: float | None = None) -> Array:
     """World frames of a robot's links [W, L, 4, 4], or of a person's joints [W, 55, 4, 4].
 
     A robot without joints in the state is at rest. A person plays their clip for ``speed_mps`` (default: `WalkerSpec`'s).
     """
-    base = ground_pose(state.xz, state.heading, floor_y)
+    base = root_pose(body, state.xz, state.heading, floor)
     if isinstance(body, Robot) and isinstance(state, RobotState):
         joints = state.joints if state.joints.shape[1] else np.tile(body.rest, (state.worlds, 1))
         return body.link_matrices(base, joints)

@@ -271,7 +271,7 @@ class WorldStepper:
         """The renderer of some worlds that are in one home, with everything where it is now."""
         renderer = self._renderer(int(self._home[worlds[0]]), len(worlds))
         world = self.play.world
-        renderer.pose(world.state.take(worlds), floor_y=world.floors[worlds[0]].floor_y)
+        renderer.pose(world.state.take(worlds), floor=world.floors[worlds[0]])
         return renderer
 
     def _renderer(self, home: int, worlds: int) -> StateRenderer:

@@ -18,11 +18,14 @@ from h3data.errors import InputError
 from h3data.habitat.navmesh.pathfinder import PathFinder
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
+from h3data.scene.floor_heights import way_to_stairs
 from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
 from sim_kinematic.motion.habitat_slide import slide_as_habitat
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide
 from sim_kinematic.motion.state import AgentState, RobotState
 
+STAIRS_SHARE, STAIRS_NEAR_M = 0.4, 0.6
+"""Share of their speed that robots keep on stairs, in the plan, and the distance before these on which they slow down [m]."""
 APART_ITERATIONS, APART_TOLERANCE_M = 4, 1e-6
 """How often discs push each other apart, and a distance that counts as none."""
 
@@ -222,12 +225,17 @@ def drive_robots(
     """Move a robot in all its worlds by ``action`` [W, 2], in place: forward and left turn, -1..1 of the limits. With
     ``spec.max_lateral_mps`` it is [W, 3]: sideways comes last.
 
+    On stairs and right before them robots drive at `STAIRS_SHARE` of what they are asked for.
+
     ``finder`` is the navmesh on which ``slide="habitat"`` moves; None makes one of ``free`` and keeps it.
 
     Raises:
         InputError: the actions have another shape, or one is not finite; then nothing has moved.
     """
     action = per_world(action, state, width=3 if spec.max_lateral_mps else 2)
+    if free.has_stairs:
+        action = action.copy()
+        action[:, (0, *range(2, action.shape[1]))] *= stairs_speeds(free.heights, state.xz)[:, None]
     limits = (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, float(spec.allow_back))
     moved = state.xz, state.heading, state.contact
     offsets = _offsets(spec.disc_offsets_m)
@@ -237,6 +245,10 @@ def drive_robots(
             spec.slide_iterations, spec.clearance_tolerance_m, spec.contact_tolerance_m, spec.farthest_m(dt),
         )  # fmt: skip
     elif spec.slide == "habitat":
+        if len(free.heights):
+            raise InputError(
+                "Bases slide as in Habitat on one level floor only. Hint: slide='strict' in homes with stairs."
+            )
         rules = spec.habitat.slides, spec.habitat.slides_while_turning, spec.habitat.navmesh_slides
         broken = _drive_worlds_as_habitat(
             (finder or _finder(free)).surface, free.floor_y + spec.habitat.root_height_m, *moved, action, limits, dt,
@@ -246,6 +258,20 @@ def drive_robots(
         raise InputError(f"Unknown slide {spec.slide!r}. Expected one of: {', '.join(get_args(Slide))}.")
     if broken >= 0:
         raise InputError(f"Actions must be finite. That of world {broken} is {action[broken]}.")
+
+
+@kernel(error_model="numpy")
+def _stairs_speeds(heights, xz, out):
+    for w in range(len(xz)):
+        near = 1.0 - min(way_to_stairs(heights, xz[w, 0], xz[w, 1]) / STAIRS_NEAR_M, 1.0)
+        out[w] = 1.0 - (1.0 - STAIRS_SHARE) * near
+
+
+def stairs_speeds(heights: np.ndarray, xz: np.ndarray) -> np.ndarray:
+    """Shares [W] of its usual speed with which a robot at ``xz`` [W, 2] goes: less on stairs, gradually less before them."""
+    shares = np.empty(len(xz))
+    _stairs_speeds(heights, xz, shares)
+    return shares
 
 
 def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], radius_m: float) -> np.ndarray:

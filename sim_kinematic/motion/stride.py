@@ -18,6 +18,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
+from h3data.scene.floor_heights import way_to_stairs
 from h3data.scene.freespace.free_space import sample_sdf
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.step import push_out, wrap_angle
@@ -39,6 +40,8 @@ SHOULDER_M = 0.05
 FACE_M, FACE_RAD = 0.6, 0.8
 """Length of the end of a path on which people turn to what they came for, and how far sideways they walk meanwhile. Those who
 arrived first and turned then stood turning in 3% of the steps of rearrangement."""
+STAIRS_SHARE = 0.5
+"""Share of their speed with which people climb stairs, measured in the plan."""
 CORNER_M = 0.5
 """How far beyond the point that they walk to people see a corner coming."""
 
@@ -102,7 +105,9 @@ def _slide(sdf, origin, cell, radius, x, z, nx, nz, most):
 
 
 @kernel(error_model="numpy")
-def stride_step(sdf, origin, cell, radius, path, cumulative, goes, halts, facing, state, speed, limits, patience, dt):
+def stride_step(
+    sdf, origin, cell, heights, radius, path, cumulative, goes, halts, facing, state, speed, limits, patience, dt
+):
     """One step along a path, in place: ``state`` is x, z, heading, speed, turn rate, how far along the path, the angle between
     the directions of walking and looking, the farthest that they have been along the path, steps without getting on, and
     whether they keep to the path itself, corners and all.
@@ -114,6 +119,9 @@ def stride_step(sdf, origin, cell, radius, path, cumulative, goes, halts, facing
     accel, decel, turn_rate, turn_accel, gain, look, sidestep, sidestep_rate, arrive = limits
     x, z, heading, v, turn = state[0], state[1], state[2], state[3], state[4]
     keeps_to_path, total = state[9] > 0.0, cumulative[-1]
+    if heights.shape[0]:  # they are slow enough when they set foot on stairs
+        to_stairs = way_to_stairs(heights, x, z)
+        speed = min(speed, math.sqrt((STAIRS_SHARE * speed) ** 2 + 2.0 * decel * to_stairs))
     along = _progress(path, cumulative, state[5], x, z)
     end_x, end_z = path[-1, 0], path[-1, 1]
     to_end = math.hypot(end_x - x, end_z - z)
@@ -183,11 +191,27 @@ def stride_step(sdf, origin, cell, radius, path, cumulative, goes, halts, facing
 
 
 @kernel(error_model="numpy")
-def stride_track(sdf, origin, cell, radius, path, cumulative, halts, state, speed, limits, patience, dt, track):
+def stride_track(
+    sdf, origin, cell, heights, radius, path, cumulative, halts, state, speed, limits, patience, dt, track
+):
     """Walks the whole path, or as much as fits into ``track`` [n, 3] (x, z, heading); returns the number of steps."""
     for k in range(len(track)):
         there = stride_step(
-            sdf, origin, cell, radius, path, cumulative, True, halts, math.nan, state, speed, limits, patience, dt
+            sdf,
+            origin,
+            cell,
+            heights,
+            radius,
+            path,
+            cumulative,
+            True,
+            halts,
+            math.nan,
+            state,
+            speed,
+            limits,
+            patience,
+            dt,
         )
         track[k, 0], track[k, 1], track[k, 2] = state[0], state[1], state[2]
         if there:
@@ -206,7 +230,7 @@ class Strider:
         """
         if spec.stride is None:
             raise InputError("Expected a walker with a stride, got one who turns on the spot.")
-        self._grid = free.sdf, free.origin, free.cell_m, radius_m
+        self._grid = free.sdf, free.origin, free.cell_m, free.heights, radius_m
         self._rules = spec.speed_mps, spec.stride.limits, round(spec.stride.patience_s / STEP_S), STEP_S
         self._path, self._cumulative = np.zeros((2, 2)), np.zeros(2)
         self._state = np.zeros(10)

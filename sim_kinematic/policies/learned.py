@@ -117,7 +117,9 @@ def _way(view: SocialNavView, spec: BaseSpec) -> Floats:
 NAVIGATION_INPUTS: Mapping[str, Callable[[SocialNavView, BaseSpec], Floats]] = {
     "humanoid_gps": lambda view, spec: gps_compass(view.robot_xz, view.robot_heading, view.human_xz),
     "egomotion": _egomotion,
-    "localization": lambda view, spec: localization(view.robot_xz, view.robot_heading, view.free.floor_y),
+    "localization": lambda view, spec: localization(
+        view.robot_xz, view.robot_heading, float(view.free.height_at(view.robot_xz))
+    ),
     "humanoid_velocity": _humanoid_velocity,
     "way": _way,
     "range_scan": lambda view, spec: range_scan(view.free, view.robot_xz, view.robot_heading),

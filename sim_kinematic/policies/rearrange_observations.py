@@ -14,7 +14,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import ground_pose
 from sim_kinematic.agents.skills import choices
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.views import RearrangeView
@@ -64,11 +63,11 @@ def _from_start(points: Callable[[RearrangeView], Floats]) -> Sense:
 
 
 def _start_pose(view: RearrangeView) -> Floats:
-    return ground_pose(view.start[:2], view.start[2], view.free.floor_y)
+    return view.free.root_pose(view.start[:2], view.start[2])
 
 
 def _other_from_start(view: RearrangeView) -> Floats:
-    return in_frame(_start_pose(view), ground_pose(view.other_xz, 0.0, view.free.floor_y)[None, :3])
+    return in_frame(_start_pose(view), view.free.root_pose(view.other_xz, 0.0)[None, :3])
 
 
 def _flags(of: Callable[[RearrangeView], NDArray], times: Times = "objects") -> Sense:
@@ -110,7 +109,8 @@ SENSES: Mapping[str, Sense] = {
     "humanoid_gps": _OTHER_GPS,
     "close": _flags(lambda v: np.array([v.close]), "once"),
     "localization": Sense(
-        lambda v: localization(v.xz, v.heading, v.free.floor_y), (-FAR_M,) * 3 + (-np.pi,), (FAR_M,) * 3 + (np.pi,), "once"
+        lambda v: localization(v.xz, v.heading, v.free.height_at(v.xz)), (-FAR_M,) * 3 + (-np.pi,),
+        (FAR_M,) * 3 + (np.pi,), "once",
     ),
     "localization_in_start_frame": Sense(
         lambda v: localization_in_start_frame(v.start[:2], v.start[2], v.xz, v.heading), (-FAR_M,) * 3 + (-np.pi,),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
-from h3data.geometry import Array, ground_pose, pose_multiply
+from h3data.geometry import Array, pose_multiply
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.contact_tracker import AgentContactTracker
@@ -23,7 +23,7 @@ from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.skills import Ending, Objects, Skill
 from sim_kinematic.avoidance.right_of_way import RightOfWay
-from sim_kinematic.contact.frames import walking_phase
+from sim_kinematic.contact.frames import root_pose, walking_phase
 from sim_kinematic.motion.spec import ArmRoomSpec
 from sim_kinematic.motion.state import HumanState, WorldState
 from sim_kinematic.policies.policy import PaceTo, Velocity
@@ -100,7 +100,7 @@ class ClipFigure:
 
     @property
     def base(self) -> Array:
-        return ground_pose(self.gait.xz[0], self.gait.heading[0], self._free.floor_y)
+        return root_pose(self.body, self.gait.xz[0], self.gait.heading.item(0), self._free)
 
     @property
     def quats(self) -> Array:

@@ -27,7 +27,7 @@ from h3data.render.renderer import Backend
 from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE, HUMAN_HEAD
 from h3data.scene import Mesh, Scene, Shape
 from h3data.scene.records import Capsule, instance_matrix
-from sim_kinematic.contact.frames import Body, body_frames, body_shapes, require_bodies, shape_frames
+from sim_kinematic.contact.frames import Body, Floor, body_frames, body_shapes, require_bodies, shape_frames
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.sensor import HUMAN_ID
 
@@ -127,8 +127,8 @@ class StateRenderer:
         return _Drawn(body, [self._add(k, name, semantic_id=semantic_id) for k, (_, name) in named], meshes)
 
     # --- posing -----------------------------------------------------------------------------------------------------------
-    def pose(self, state: WorldState, *, floor_y: float = 0.0, frames: Sequence[Array] | None = None) -> None:
-        """Put everything where the state has it.
+    def pose(self, state: WorldState, *, floor: Floor = 0.0, frames: Sequence[Array] | None = None) -> None:
+        """Put everything where the state has it, on a map or at the height ``floor`` [m].
 
         ``frames`` are the agents' `body_frames`, where somebody has them already or poses them otherwise.
         """
@@ -140,7 +140,7 @@ class StateRenderer:
         require_bodies(state, self.bodies)
         if frames is None:
             pairs = zip(self.bodies, state.agents, strict=True)
-            frames = [body_frames(body, own, floor_y, speed_mps=self._speed_mps) for body, own in pairs]
+            frames = [body_frames(body, own, floor, speed_mps=self._speed_mps) for body, own in pairs]
         objects = pose_to_matrix(state.object_pose)
         objects[..., :3, :3] *= self._object_scale
         for w in range(self.worlds):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.scene import Scene
-from sim_kinematic.contact.frames import Body
+from sim_kinematic.contact.frames import Body, Floor
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.agent_pictures import AgentPictures
 from sim_kinematic.sensing.camera_sensor import StateRenderer
@@ -20,7 +20,7 @@ from sim_kinematic.sensing.sensor import DEPTH_RANGE_M
 
 def see(
     state: WorldState, scene: Scene, bodies: Sequence[Body], names: Sequence[str], *, agent: int,
-    size: tuple[int, int] | None = None, floor_y: float = 0.0, speed_mps: float | None = None,
+    size: tuple[int, int] | None = None, floor: Floor = 0.0, speed_mps: float | None = None,
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
     """Named pictures of an agent, exact, as `sim_kinematic.sensing.observation_set` shows them.
 
@@ -31,14 +31,14 @@ def see(
         names: Some of `sim_kinematic.sensing.agent_pictures.picture_names`.
         agent: Whose eyes.
         size: Width and height [pixels]; None is each camera's own.
-        floor_y: Height of the floor [m].
+        floor: Its map, or the height of its floor [m].
         speed_mps: At which people walk, which chooses their clips.
 
     Returns:
         ``*_depth`` [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, ``*_rgb`` uint8 [H, W, 3], the detector [1].
     """
     rendered = _renderer(scene, tuple(bodies), speed_mps, threading.get_ident())
-    rendered.pose(state, floor_y=floor_y)
+    rendered.pose(state, floor=floor)
     near, far = DEPTH_RANGE_M
     pictures = AgentPictures(bodies[agent], names, agent=agent, depth_size=size, rgb_size=size).take(rendered)
     return {

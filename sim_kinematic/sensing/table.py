@@ -82,8 +82,10 @@ class Sensor(NamedTuple):
 
 
 def _other_from_start(moment: Moment) -> NDArray[np.floating]:
-    start = ground_pose(moment.start.xz, moment.start.heading)
-    return in_frame(start, ground_pose(moment.other.xz, moment.other.heading)[:, None, :3])[:, 0]
+    heights = moment.world.heights
+    start = ground_pose(moment.start.xz, moment.start.heading, heights(moment.start.xz))
+    other = ground_pose(moment.other.xz, moment.other.heading, heights(moment.other.xz))
+    return in_frame(start, other[:, None, :3])[:, 0]
 
 
 def _path_to_other(moment: Moment) -> NDArray[np.floating]:
@@ -109,7 +111,7 @@ SENSORS: Mapping[str, Sensor] = {
         lambda m: egomotion(m.before.xz, m.before.heading, m.now.xz, m.now.heading), [-FAST] * 3, [FAST] * 3
     ),
     "localization": Sensor(
-        lambda m: localization(m.now.xz, m.now.heading, m.world.floor_y),
+        lambda m: localization(m.now.xz, m.now.heading, m.world.heights(m.now.xz)),
         [-FAR_M] * 3 + [-np.pi],
         [FAR_M] * 3 + [np.pi],
     ),

@@ -15,7 +15,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, WALKERS, BaseSpec, WalkerSpec
 
@@ -52,6 +52,9 @@ class Episode:
     """Where each agent begins, ``(x, z, heading)``, shape [A, 3]."""
     extra: Mapping[str, Any] = field(default_factory=dict)
     """Whatever else the task sampled, as JSON types; recorded in ``info["extra"]``."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "free", common_floor(self.roster, self.free))
 
 
 @lru_cache(maxsize=256)

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import H3DataError, InputError
-from h3data.geometry import Array, ground_pose
+from h3data.geometry import Array
 from h3data.recording import STEP_NS, Event, SkillSpan
 from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import KeptMoment, PaceTo, StrideTo, Towards
@@ -195,9 +196,9 @@ class WorldPlay:
 
         state = self.world.state.take(np.array([world]))
         bodies = [member.body for member in self.world.roster]
-        floor_y, speed = float(self.world.floor_y[world]), self.spec.human.speed_mps
+        floor, speed = self.world.floors[world], self.spec.human.speed_mps
         scene = self.episodes[world].scene
-        return see(state, scene, bodies, names, agent=agent, size=size, floor_y=floor_y, speed_mps=speed)
+        return see(state, scene, bodies, names, agent=agent, size=size, floor=floor, speed_mps=speed)
 
     def _traffic_of(self, world: int) -> Traffic:
         if world not in self._traffic:
@@ -288,7 +289,7 @@ class WorldPlay:
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
         numbers = np.array([row[:-2] for row in snapshots], np.float64)
-        steps, floor = len(snapshots), self.episode.free.floor_y
+        steps, floor = len(snapshots), self.episode.free
         result: Columns = {"time_ns": np.arange(first + 1, first + steps + 1, dtype=np.int64) * STEP_NS}
         places, contact, at = [], [], 0
         for k, member in enumerate(self.world.roster):
@@ -297,7 +298,7 @@ class WorldPlay:
             at += len(own)
             xz = np.stack([own[0], own[1]], -1)
             places.append(xz)
-            result[agent + "base_pose"] = ground_pose(xz, own[2], floor).astype(np.float32)
+            result[agent + "base_pose"] = root_pose(body, xz, own[2], floor).astype(np.float32)
             if isinstance(body, Robot):
                 contact.append(own[3].astype(np.bool_))
                 result[agent + "joint_pos"] = np.tile(body.rest.astype(np.float32), (steps, 1))

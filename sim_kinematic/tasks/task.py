@@ -19,7 +19,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.recording import Agent, Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene, scene_digest
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster, sample_places
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster, sample_places
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign, check_policy, make_policy
 from sim_kinematic.policies.policy import Still, Velocity
@@ -79,6 +79,7 @@ class Task:
         Raises:
             SceneError: the scene has no room for it.
         """
+        free = common_floor(roster, free)
         return Episode(
             scene=scene,
             free=free,

@@ -16,6 +16,7 @@ from h3data.bodies.people.gait import stand_posture
 from h3data.bodies.people.legs import Posture
 from h3data.bodies.people.skeleton import JOINT_COUNT
 from h3data.geometry import Array, heading_from_quat
+from h3data.scene.floor_heights import LEVEL
 
 if TYPE_CHECKING:
     from h3data.bodies.people.kernels.planted import GaitTables
@@ -78,16 +79,23 @@ def gait_tables(gaits: Gaits) -> GaitTables:
         sdf=np.zeros((0, 0)),
         origin=np.zeros(2),
         cell_m=1.0,
+        heights=LEVEL,
     )
 
 
 def on_floor(tables: GaitTables, free: FreeSpace) -> GaitTables:
-    """The gaits of a body whose feet keep out of the walls and furniture of a home."""
+    """The gaits of a body whose feet keep out of the walls and furniture of a home, and stand on the treads of its stairs."""
     return tables._replace(
         sdf=np.ascontiguousarray(free.sdf, np.float64),
         origin=np.ascontiguousarray(free.origin, np.float64),
         cell_m=float(free.cell_m),
+        heights=np.ascontiguousarray(free.heights, np.float64),
     )
+
+
+def on_stairs(tables: GaitTables, heights: Array) -> GaitTables:
+    """The gaits of a body whose feet stand on the treads of stairs (`h3data.scene.floor_heights`)."""
+    return tables._replace(heights=np.ascontiguousarray(heights, np.float64))
 
 
 def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None = None) -> Array:

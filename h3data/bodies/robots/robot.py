@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.geometry import Array, pose_to_matrix
+from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Cylinder, Shape
 
@@ -115,6 +115,8 @@ class Robot:
     reach_bearing: float | None = None
     """Bearing of what the robot reaches for [rad], to the left of its forward axis; None: not known."""
     legs: tuple[RobotLeg, ...] = ()
+    climbs_stairs: bool = False
+    """Whether it walks up and down stairs; to others they are walls."""
     cameras: tuple[RobotCamera, ...]
     to_base: Array
     """URDF base frame to agent root frame, 4x4."""
@@ -129,6 +131,17 @@ class Robot:
     gains: NDArray[np.float64]
     """A link moves by gain * position + offset (URDF mimic), shape [L]."""
     offsets: NDArray[np.float64]
+
+    @cached_property
+    def climbing_length_m(self) -> float:
+        """Distance of front and hind feet, over which the base pitches on stairs [m]; 0 of robots that do not climb."""
+        if not self.climbs_stairs:
+            return 0.0
+        if not self.legs:
+            return float(np.ptp(self.base_discs)) + self.base_radius_m
+        links = self.link_matrices(IDENTITY_POSE[None], self.rest[None])[0]
+        feet = [links[self.joint_links[leg.columns[2]]] @ [*leg.foot, 1.0] for leg in self.legs]
+        return float(np.ptp([foot[0] for foot in feet]))
 
     @property
     def link_names(self) -> tuple[str, ...]:

@@ -130,6 +130,7 @@ def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
             )
             for leg in settings.legs
         ),
+        climbs_stairs=bool(settings.legs) if settings.climbs_stairs is None else settings.climbs_stairs,
         cameras=tuple(_camera(c, index[c.link]) for c in settings.cameras),
         to_base=to_base,
         origins=np.stack([np.eye(4) if j is None else j.origin for j in joints]).astype(np.float64),

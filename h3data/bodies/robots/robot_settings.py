@@ -72,6 +72,8 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Bearing of what the robot reaches for when it stands in front of it: 0 ahead, 90 to the left; by default the first of
     ahead, right, left and behind in which the arm reaches."""
     legs: tuple[LegSettings, ...] = ()
+    climbs_stairs: bool | None = None
+    """Whether the robot walks up and down stairs; by default if it has legs. To others stairs are walls."""
     cameras: tuple[CameraSettings, ...] = ()
 
 

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies.robots.robot import Robot, RobotLeg
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose, heading_from_quat, pose_to_matrix, transform_points
+from h3data.geometry import Array, ground_pose, heading_from_quat, pose_to_matrix, quat_rotate, transform_points
+from h3data.scene.floor_heights import LEVEL, floor_heights, nose_heights, off_risers
 
 STRIDE_M = 0.7
 """Longest distance covered in one cycle of a leg."""
@@ -34,6 +35,11 @@ SETTLE_STEPS = 4
 """Feet come down within so many steps of a stop."""
 SETTLE_M = 0.05
 """Feet are lifted fully where the base covers at least this distance in the steps around."""
+NOSE_CLEAR_M, OVER_SHARE = 0.02, 0.25
+"""A foot passes over the noses of steps at this height, but at the beginning and the end of its swing."""
+LEAN_SHARE = 0.5
+"""Share of the way from below the root to below the hips by which feet under a pitched base are moved. With all of it the lower
+legs of `quad_arm` were too short for the steps below, with none the upper ones were folded flat."""
 JUMP_M = 0.5
 """A base that moves farther in one step was put there: the trot begins anew."""
 MAX_STRETCH = 0.999
@@ -43,7 +49,12 @@ _BLOCK_STEPS = 4096
 
 
 def trot(
-    robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike, *, even_strides: bool = False
+    robot: Robot,
+    base_pose: ArrayLike,
+    joint_pos: ArrayLike,
+    *,
+    even_strides: bool = False,
+    heights: NDArray[np.float64] = LEVEL,
 ) -> NDArray[np.float64]:
     """Joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
 
@@ -52,6 +63,7 @@ def trot(
         base_pose: Agent roots at consecutive steps, shape [T, 7] [m]; NaN where the robot is not there.
         joint_pos: Its joint positions, shape [T, J].
         even_strides: Strides of `STRIDE_M` at every speed, as recordings before schema 1.5 were shown.
+        heights: How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs.
     """
     bases, out = np.asarray(base_pose, np.float64), np.array(joint_pos, np.float64)
     if bases.ndim != 2 or bases.shape[1] != 7 or out.shape != (len(bases), len(robot.joint_names)):
@@ -73,12 +85,13 @@ def trot(
         if there[first]:
             track = bases[first:last]
             heading, way = _headings_and_way(track, feet)
+            lean = _lean(robot, track) if len(heights) else np.zeros(len(track))
             cycles = way / STRIDE_M if even_strides else _cycles(way)
             for start in range(0, len(track), _BLOCK_STEPS):
                 rows = np.arange(start, min(start + _BLOCK_STEPS, len(track)))
                 to_base = np.linalg.inv(pose_to_matrix(track[rows]) @ robot.to_base)
                 most, tuck = (EVEN_LIFT_M, 0.0) if even_strides else (LIFT_M, TUCK)
-                places = _feet(track, heading, way, cycles, feet, rows, most, tuck)
+                places = _feet(track, heading, way, cycles, feet, rows, most, tuck, heights, lean)
                 spots = np.einsum("tij,tlj->tli", to_base[:, :3, :3], places) + to_base[:, None, :3, 3]
                 for k, leg in enumerate(robot.legs):
                     out[first + rows[:, None], leg.columns] = leg_angles(robot, leg, spots[:, k])
@@ -97,6 +110,16 @@ def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
     covered = np.hypot(*np.diff(bases[:, [0, 2]], axis=0).T)
     covered = covered + np.abs(np.diff(heading)) * np.hypot(feet[:, 0], feet[:, 2]).mean()
     return heading, np.concatenate([[0.0], np.cumsum(covered)])
+
+
+def _lean(robot: Robot, bases: Array) -> Array:
+    """How far ahead of the root feet stand under a pitched base [T] [m], nearer to being below their hips."""
+    up = quat_rotate(bases[:, 3:], np.array([1.0, 0.0, 0.0]))[:, 1]
+    return -LEAN_SHARE * robot.base_height_m * up
+
+
+def _ahead(way: Array, heading: Array) -> Array:
+    return way[:, None] * np.stack([np.cos(heading), -np.sin(heading)], -1)
 
 
 def _cycles(way: Array) -> Array:
@@ -119,8 +142,11 @@ def _feet(
     rows: NDArray[np.integer],
     most: float,
     tuck: float,
+    heights: NDArray[np.float64],
+    lean: Array,
 ) -> Array:
-    """Places of the feet in the world at some rows of a base track, [len(rows), L, 3], from their places at rest [L, 3]."""
+    """Places of the feet in the world at some rows of a base track, [len(rows), L, 3], from their places at rest [L, 3], which
+    are ``lean`` [T] ahead of the root on stairs."""
     edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
     lift = most * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
     out = np.empty((len(rows), len(feet), 3))
@@ -134,14 +160,25 @@ def _feet(
             """Where the foot stands in a cycle; before the first step it stands as at rest."""
             middle = np.where(number <= begin, 0.0, number + DUTY / 2 - begin)
             x, y, z, turn = (np.interp(middle, cycles, v) for v in (*bases[:, :3].T, heading))
-            return transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]
+            at = transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]
+            if len(heights):
+                at[:, ::2] += _ahead(np.interp(middle, cycles, lean), turn)
+                at[:, ::2] = off_risers(heights, at[:, ::2])
+                at[:, 1] = foot[1] + floor_heights(heights, 0.0, at[:, ::2], treads=True)
+            return at
 
         lifts_off = np.maximum(cycle + DUTY, begin)
         swing = np.clip((place - lifts_off) / (cycle + 1 - lifts_off), 0, 1)
         weight = (swing * swing * (3 - 2 * swing))[:, None]
         out[:, k] = planted(cycle) * (1 - weight) + planted(cycle + 1) * weight
         rest = transform_points(roots, foot[None])[:, 0]
+        if len(heights):
+            rest[:, ::2] += _ahead(lean[rows], heading[rows])
         out[:, k] += (tuck * np.sin(np.pi * swing) ** 2)[:, None] * (rest - out[:, k])
+        if len(heights):
+            noses = foot[1] + NOSE_CLEAR_M + nose_heights(heights, 0.0, out[:, k, ::2])
+            over = np.clip(np.minimum(swing, 1 - swing) / OVER_SHARE, 0, 1)
+            out[:, k, 1] += over * np.maximum(noses - out[:, k, 1], 0.0)
         out[:, k, 1] += lift * np.sin(np.pi * swing)
     return out
 

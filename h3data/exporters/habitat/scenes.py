@@ -33,7 +33,7 @@ from h3data.scene.scene_json import asset_record
 
 _log = logging.getLogger(__name__)
 
-STAGE_CATEGORIES = frozenset(("wall", "floor", "ceiling", "door", "window", "trim", "stage"))
+STAGE_CATEGORIES = frozenset(("wall", "floor", "ceiling", "door", "window", "trim", "stairs", "railing", "stage"))
 """Static instances of these categories are the building: Habitat's stage. All others become objects."""
 
 _AGENT_HEIGHT_M, _AGENT_RADIUS_M = 1.41, 0.25
@@ -362,15 +362,16 @@ def _region_annotations(rooms: Sequence[Room]) -> list[dict[str, Any]]:
         rectangles = np.asarray(room.rectangles, np.float64).tolist()
         for k, (x0, z0, x1, z1) in enumerate(rectangles):
             y = float(room.floor_y)
+            height = _ROOM_HEIGHT_M if room.ramp is None else _ROOM_HEIGHT_M + float(room.ramp.top_y) - y
             found.append(
                 {
                     "name": room.name if len(rectangles) == 1 else f"{room.name}.{k}",
                     "label": room.category,
                     "poly_loop": [[x0, y, z0], [x0, y, z1], [x1, y, z1], [x1, y, z0]],
                     "floor_height": y,
-                    "extrusion_height": _ROOM_HEIGHT_M,
+                    "extrusion_height": height,
                     "min_bounds": [x0, y, z0],
-                    "max_bounds": [x1, y + _ROOM_HEIGHT_M, z1],
+                    "max_bounds": [x1, y + height, z1],
                 }
             )
     return found

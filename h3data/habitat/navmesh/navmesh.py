@@ -14,6 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from h3data.errors import InputError, SceneError
 from h3data.habitat.navmesh.merging import CORNERS_MAX, merged_polygons, plain_outline
+from h3data.scene.floor_heights import STEPS, flight_rectangle
 from h3data.scene.freespace._sdf import sdf_from_edges
 from h3data.scene.freespace._visibility_build import area_edges, build_graph, polygon_parts
 from h3data.scene.freespace.free_space import FreeSpace
@@ -230,18 +231,24 @@ def navmesh_from_free_space(
         settings: What to record as settings; by default those of the floor's agent.
     """
     area = plain_outline(free_space.polygon) if merge else free_space.polygon
+    pieces = [(k, piece) for k, p in enumerate(area.geoms) for piece in _slopes_apart(p, free_space.heights)]
     found = [
-        shapely.get_coordinates(shapely.constrained_delaunay_triangles(p)).reshape(-1, 4, 2)[:, :3] for p in area.geoms
+        shapely.get_coordinates(shapely.constrained_delaunay_triangles(p)).reshape(-1, 4, 2)[:, :3] for _, p in pieces
     ]
     flat = np.concatenate([np.zeros((0, 3, 2)), *found])
-    island = np.repeat(np.arange(len(found)), [len(f) for f in found])
+    island = np.repeat(np.array([k for k, _ in pieces], int), [len(f) for f in found])
+    piece = np.repeat(np.arange(len(found)), [len(f) for f in found])
     keyed = np.concatenate([np.repeat(island, 3)[:, None], flat.reshape(-1, 2)], axis=1)
     unique, corner = np.unique(keyed, axis=0, return_inverse=True)  # by island: where two touch they stay apart
     vertices = np.empty((len(unique), 3), np.float32)
     vertices[:, [0, 2]] = unique[:, 1:]
-    vertices[:, 1] = free_space.floor_y
+    vertices[:, 1] = free_space.height_at(unique[:, 1:])
     corner = corner.reshape(-1, 3).astype(np.int32)
-    polygons = merged_polygons(unique[:, 1:].astype(np.float64), corner) if merge else corner.tolist()
+    polygons = corner.tolist()
+    if merge:  # never across the foot or the head of stairs
+        groups = [piece == k for k in range(len(found))] if len(free_space.heights) else [np.ones(len(corner), bool)]
+        plan = unique[:, 1:].astype(np.float64)
+        polygons = [polygon for group in groups for polygon in merged_polygons(plan, corner[group])]
     start = np.concatenate([[0], np.cumsum([len(p) for p in polygons])]).astype(np.int32)
     flat_corner = np.array([v for p in polygons for v in p], np.int32)
     fans = (
@@ -265,6 +272,15 @@ def navmesh_from_free_space(
         detail_triangles=vertices[np.array([t for fan in fans for t in fan], np.int32).reshape(-1, 3)],
         bounds=np.stack([vertices.min(0), vertices.max(0) + np.array([0, free_space.height_m, 0], np.float32)]),
     )
+
+
+def _slopes_apart(polygon: Polygon, heights: NDArray[np.float64]) -> list[Polygon]:
+    """A polygon cut where level floor and stairs meet; they share the vertices there."""
+    flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
+    if not flights:
+        return [polygon]
+    stairs = shapely.union_all(flights)
+    return [*polygon_parts(polygon.difference(stairs)), *polygon_parts(polygon.intersection(stairs))]
 
 
 def _neighbours(start: NDArray[np.int32], corner: NDArray[np.int32]) -> NDArray[np.int32]:

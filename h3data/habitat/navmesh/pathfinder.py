@@ -68,8 +68,8 @@ class PathFinder:
     """Where an agent may go and how: queries on one navmesh, all floors. Immutable; safe to share between threads."""
 
     def __init__(self, source: FreeSpace | NavMesh) -> None:
-        self.free_space = source if isinstance(source, FreeSpace) else None
-        """Set if made from one: shortest paths are then its own."""
+        self.free_space = source if isinstance(source, FreeSpace) and not len(source.heights) else None
+        """Set if made from one that is level: shortest paths are then its own. On stairs they are strings in space."""
         self.navmesh: NavMesh = source if isinstance(source, NavMesh) else navmesh_from_free_space(source, merge=False)
         if not self.navmesh.enabled.any():
             raise InputError("The navmesh has no polygon that can be walked on.")

@@ -127,7 +127,7 @@ def scene_map(
     islands = list(shapely.get_parts(free.polygon))
     for k, island in enumerate(islands):
         color = MAIN_COLOR if k == 0 else ISLAND_COLOR
-        _shade(image, camera, island, color, free.floor_y, strength=0.28 if k == 0 else 0.5)
+        _shade(image, camera, island, color, free, strength=0.28 if k == 0 else 0.5)
     for instance, receptacle in scene.receptacles():
         x, z = np.asarray(receptacle.half_size, np.float64)
         corners = np.array([[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]) + receptacle.center
@@ -148,14 +148,14 @@ def _pixels(camera: Camera, points: ArrayLike) -> NDArray[np.int32]:
 
 
 def _shade(
-    image: NDArray[np.uint8], camera: Camera, area: BaseGeometry, color: Color, floor_y: float, *, strength: float
+    image: NDArray[np.uint8], camera: Camera, area: BaseGeometry, color: Color, free: FreeSpace, *, strength: float
 ) -> None:
     import cv2
     import shapely
 
     outer, inner = shapely.get_exterior_ring(area), area.interiors  # type: ignore[attr-defined]
     rings = [shapely.get_coordinates(ring) for ring in (outer, *inner)]
-    outlines = [_pixels(camera, np.insert(r, 1, floor_y, axis=1)) for r in rings]
+    outlines = [_pixels(camera, np.insert(r, 1, free.height_at(r), axis=1)) for r in rings]
     mask = np.zeros(image.shape[:2], np.uint8)
     cv2.fillPoly(mask, outlines, 255, cv2.LINE_AA)  # even-odd: the inner rings are holes
     weight = mask[..., None] * (strength / 255)
@@ -298,9 +298,9 @@ def eye_level_camera(
     if not len(corners):
         raise InputError(f"There is no free floor in room {chosen!r} of scene {scene.name!r}.")
     middle = shapely.get_coordinates((rooms[chosen] if chosen else main).centroid)[0]
-    target = np.array([middle[0], free.floor_y + 0.9, middle[1]])
+    target = np.array([middle[0], free.height_at(middle) + 0.9, middle[1]])
     far = corners[np.argsort(-np.linalg.norm(corners - middle, axis=1), kind="stable")[:_EYE_CANDIDATES]]
-    eyes = np.insert(far, 1, free.floor_y + _EYE_M, axis=1)
+    eyes = np.insert(far, 1, free.height_at(far) + _EYE_M, axis=1)
     poses = [look_at(eye, target) for eye in eyes]
     renderer = Renderer(render_scene(scene))
 

@@ -12,10 +12,14 @@ from shapely.geometry.base import BaseGeometry
 
 from h3data.errors import SceneError
 from h3data.geometry import pose_to_matrix, transform_points
-from h3data.scene.records import Box, Capsule, Cylinder, Hull, Room, Scene, Shape, instance_matrix
+from h3data.scene.records import Box, Capsule, Cylinder, Hull, Instance, Room, Scene, Shape, instance_matrix
 
 CIRCLE_SIDES = 32
 """Round shapes become polygons of this many sides around them (0.5 % of the radius too large at the corners)."""
+WALL_HALF_M = 0.06
+"""Stairwells have the floor out to the middle of the walls around them, the rooms beyond have the rest."""
+SEAM_M = 1e-4
+"""Half width of a seam between the pieces of a floor that is closed."""
 WALL_GAP_M = 0.3
 """Gaps up to this wide between the rectangles of rooms are wall or doorway, and belong to the floor; walls then cut it."""
 
@@ -51,12 +55,13 @@ def shape_corners(shape: Box | Cylinder | Hull) -> NDArray[np.float64]:
 
 def scene_obstacles(scene: Scene, low: float, high: float) -> list[Polygon]:
     """Outlines of every shape of the static instances that reaches into the band of heights [m]."""
-    found = []
-    for instance in scene.static_instances:
-        matrix = instance_matrix(instance)
-        outlines = (shape_footprint(s, matrix, low, high) for s in scene.assets[instance.asset].shapes)
-        found += [o for o in outlines if o is not None]
-    return found
+    return [o for instance in scene.static_instances for o in _instance_footprints(scene, instance, low, high)]
+
+
+def _instance_footprints(scene: Scene, instance: Instance, low: float, high: float) -> list[Polygon]:
+    matrix = instance_matrix(instance)
+    outlines = (shape_footprint(s, matrix, low, high) for s in scene.assets[instance.asset].shapes)
+    return [o for o in outlines if o is not None]
 
 
 def rooms_floor(rooms: tuple[Room, ...]) -> BaseGeometry:
@@ -88,6 +93,68 @@ def walkable_from_shapes(scene: Scene, floor_y: float, *, climb_m: float, height
     obstacles = shapely.union_all(scene_obstacles(scene, floor_y + climb_m, floor_y + height_m))
     free = rooms_floor(rooms).difference(obstacles)
     return MultiPolygon([p for p in shapely.get_parts(free) if isinstance(p, Polygon)])
+
+
+def walkable_on_storeys(scene: Scene, *, climb_m: float, height_m: float) -> MultiPolygon:
+    """The floor of all storeys and of the stairs that join them, minus everything between climb and head height above it."""
+    whole, parts = rooms_floor(scene.rooms), []
+    stairs = [room for room in scene.rooms if room.ramp is not None]
+    wells = shapely.union_all([box(*r) for room in stairs for r in room.rectangles.tolist()])
+    wells = wells.buffer(WALL_HALF_M, join_style="mitre")
+    for level in sorted({room.floor_y for room in scene.rooms if room.ramp is None}):
+        rooms = tuple(room for room in scene.rooms if room.ramp is None and room.floor_y == level)
+        around = rooms_floor(rooms).buffer(WALL_GAP_M / 2, join_style="mitre").intersection(whole).difference(wells)
+        parts.append(around.difference(shapely.union_all(scene_obstacles(scene, level + climb_m, level + height_m))))
+    near = _instances_near(scene, wells)
+    for room in stairs:
+        for piece, level in _stretches(room):
+            found = [_instance_footprints(scene, i, level + climb_m, level + height_m) for i in near]
+            outlines = [outline for outlines in found for outline in outlines]
+            parts.append(piece.intersection(whole).difference(shapely.union_all(outlines)))
+    free = shapely.union_all(parts).buffer(SEAM_M, join_style="mitre").buffer(-SEAM_M, join_style="mitre")
+    return MultiPolygon([p for p in shapely.get_parts(free) if isinstance(p, Polygon)])
+
+
+def _stretches(room: Room) -> list[tuple[BaseGeometry, float]]:
+    """A stairwell in pieces on which a foot stands at one height: landings and treads, out to the middle of its walls."""
+    ramp = room.ramp
+    assert ramp is not None
+    x0, z0, x1, z1 = shapely.union_all([box(*r) for r in np.asarray(room.rectangles, np.float64)]).bounds
+    ends = ((x0, x1), (z0, z1))[ramp.axis]
+    going = (ramp.end - ramp.start) / ramp.steps
+    risers = [ramp.start + (k + 0.5) * going for k in range(ramp.steps)]
+    first, last = (ends[0], ends[1]) if going > 0 else (ends[1], ends[0])
+    outward = WALL_HALF_M if going > 0 else -WALL_HALF_M
+    cuts = [first - outward, *risers, last + outward]
+    rise = (ramp.top_y - room.floor_y) / ramp.steps
+    pieces = []
+    for k, (a, b) in enumerate(itertools.pairwise(cuts)):
+        low, high = min(a, b), max(a, b)
+        wide = ((z0 if ramp.axis == 0 else x0) - WALL_HALF_M, (z1 if ramp.axis == 0 else x1) + WALL_HALF_M)
+        rectangle = (low, wide[0], high, wide[1]) if ramp.axis == 0 else (wide[0], low, wide[1], high)
+        pieces.append((box(*rectangle), room.floor_y + k * rise))
+    return pieces
+
+
+def _instances_near(scene: Scene, area: BaseGeometry) -> list[Instance]:
+    """Static instances whose collision shapes may reach into an area of the plan."""
+    x0, z0, x1, z1 = area.bounds
+    found = []
+    for instance in scene.static_instances:
+        corners = [c for c in map(_shape_points, scene.assets[instance.asset].shapes) if len(c)]
+        if corners:
+            points = transform_points(instance_matrix(instance), np.concatenate(corners))
+            (low_x, _, low_z), (high_x, _, high_z) = points.min(0).tolist(), points.max(0).tolist()
+            if low_x < x1 and high_x > x0 and low_z < z1 and high_z > z0:
+                found.append(instance)
+    return found
+
+
+def _shape_points(shape: Shape) -> NDArray[np.float64]:
+    if not isinstance(shape, Capsule):
+        return shape_corners(shape)
+    ends = np.stack([shape.start, shape.end]).astype(np.float64)
+    return np.concatenate([ends - shape.radius, ends + shape.radius])
 
 
 def _circle(radius: float) -> NDArray[np.float64]:

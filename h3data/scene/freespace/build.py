@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,8 @@ from shapely.geometry.base import BaseGeometry
 
 from h3data.errors import InputError, SceneError
 from h3data.geometry import transform_points
-from h3data.scene.freespace._footprints import rooms_level, walkable_from_shapes
+from h3data.scene.floor_heights import LEVEL, STEPS, flight_rectangle, room_heights
+from h3data.scene.freespace._footprints import rooms_level, walkable_from_shapes, walkable_on_storeys
 from h3data.scene.freespace._sdf import sdf_from_edges
 from h3data.scene.freespace._visibility_build import area_edges, build_graph, polygon_parts
 from h3data.scene.freespace._voxels import flood_surfaces, mark_standable, mask_rectangles, voxel_columns
@@ -90,6 +92,8 @@ def scene_key(
     if used == "shapes":
         for room in scene.rooms:
             digest.update(np.asarray(room.rectangles, "<f8").tobytes() + np.float64(room.floor_y).tobytes())
+            if room.ramp is not None:
+                digest.update(repr(room.ramp).encode())
     return digest.hexdigest()
 
 
@@ -103,7 +107,7 @@ def build_from_scene(
     floor_y: float | None = None,
     method: Method = "auto",
 ) -> FloorMap:
-    """The free space of one floor of a scene; see `h3data.scene.FreeSpace.from_scene`."""
+    """The free space of one floor of a scene, or of all storeys that stairs join; see `h3data.scene.FreeSpace.from_scene`."""
     sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
     wrong = [f"{k}={v}" for k, v in sizes.items() if not np.isfinite(v) or v <= 0]
     if wrong or max_climb_m >= height_m:
@@ -112,7 +116,11 @@ def build_from_scene(
         )
     key = scene_key(scene, **sizes, floor_y=floor_y, method=method)
     used = choose_method(scene, method)
-    if used == "shapes":
+    heights = room_heights(scene.rooms) if used == "shapes" and floor_y is None else LEVEL
+    if len(heights):
+        level = min(room.floor_y for room in scene.rooms)
+        walkable = walkable_on_storeys(scene, climb_m=max_climb_m, height_m=height_m)
+    elif used == "shapes":
         level = rooms_level(scene.rooms) if floor_y is None else float(floor_y)
         walkable = walkable_from_shapes(scene, level, climb_m=max_climb_m, height_m=height_m)
     else:
@@ -123,9 +131,9 @@ def build_from_scene(
             triangles, radius_m=radius_m, climb_m=max_climb_m, height_m=height_m, floor_y=floor_y
         )
     if used == "shapes":
-        return build_from_walkable(walkable, **sizes, floor_y=level, key=key)
+        return build_from_walkable(walkable, **sizes, floor_y=level, key=key, heights=heights)
     rough = {"smooth_m": SMOOTH_VOXEL_M, "island_min_m2": ISLAND_MIN_VOXEL_M2}
-    return build_from_walkable(walkable, **sizes, **rough, floor_y=level, key=key)
+    return build_from_walkable(walkable, **sizes, **rough, floor_y=level, key=key, heights=heights)
 
 
 def build_from_walkable(
@@ -139,6 +147,7 @@ def build_from_walkable(
     smooth_m: float = SMOOTH_M,
     island_min_m2: float = ISLAND_MIN_M2,
     key: str = "",
+    heights: NDArray[np.float64] = LEVEL,
 ) -> FloorMap:
     """The free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out.
 
@@ -167,7 +176,23 @@ def build_from_walkable(
         sdf=sdf_from_edges(area_edges(walkable)[0], origin, cell_m, nx, nz),
         polygon=polygon,
         graph=build_graph(polygon),
+        heights=heights,
     )
+
+
+def without_stairs(floor: FloorMap) -> FloorMap:
+    """The same floor for what cannot climb: flights of stairs are obstacles, so storeys are islands."""
+    heights = floor.heights.copy()
+    flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
+    heights[:, STEPS] = 0  # nobody sets a foot on them
+    free = floor.polygon.difference(shapely.union_all(flights).buffer(floor.radius_m, quad_segs=ARC_SEGMENTS))
+    polygon = MultiPolygon([p for p in polygon_parts(free.simplify(SMOOTH_M)) if p.area >= ISLAND_MIN_M2])
+    nx, nz = floor.sdf.shape
+    outside = [
+        -sdf_from_edges(area_edges(MultiPolygon([flight]))[0], floor.origin, floor.cell_m, nx, nz) for flight in flights
+    ]
+    sdf = np.minimum.reduce([floor.sdf, *outside])
+    return replace(floor, key="", sdf=sdf, polygon=polygon, graph=build_graph(polygon), heights=heights)
 
 
 def scene_triangles(scene: Scene) -> NDArray[np.float64]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon
 
+from h3data.scene.floor_heights import LEVEL
 from h3data.scene.freespace._visibility import Graph
 
 
@@ -18,10 +19,10 @@ class FloorMap:
     key: str
     """SHA-256 of the geometry and the parameters it was built from; empty if built by hand."""
     floor_y: float
-    """Height of the floor [m]."""
+    """Height of the floor [m]; of the lowest storey where there are several."""
     radius_m: float
     height_m: float
-    """Obstacles count from ``floor_y + max_climb_m`` to ``floor_y + height_m``."""
+    """Obstacles count from ``max_climb_m`` to ``height_m`` above the floor."""
     max_climb_m: float
     cell_m: float
     """Side of a cell of ``sdf`` [m]."""
@@ -34,3 +35,6 @@ class FloorMap:
     """Where the centre may be: floor minus obstacles, shrunk by the radius. Its polygons are the islands, largest first."""
     graph: Graph
     """Visibility graph over the corners of ``polygon``, with all shortest paths."""
+    heights: NDArray[np.float64] = field(default_factory=LEVEL.copy)
+    """How high the floor is at a place, where stairs join storeys (`h3data.scene.floor_heights`), shape [K, 10]; K = 0: at
+    ``floor_y`` everywhere."""

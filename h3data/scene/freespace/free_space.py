@@ -16,13 +16,15 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
+from h3data.geometry import Array, ground_pose, sloped_pose
+from h3data.scene.floor_heights import STEPS, floor_heights
 from h3data.scene.freespace import store
 from h3data.scene.freespace._geodesic import first_leg, geodesic_many, path_pair
 from h3data.scene.freespace._lattice import Lattice, build_lattice, lattice_step, quick_distance_many
 from h3data.scene.freespace._points import SNAP_M, each_pair, each_point, one_point
 from h3data.scene.freespace._sdf import line_of_sight, sample_sdf, sample_sdf_many, sdf_gradient, sdf_gradient_many
 from h3data.scene.freespace._visibility import locate_many, snap_many
-from h3data.scene.freespace.build import build_from_scene, scene_key
+from h3data.scene.freespace.build import build_from_scene, scene_key, without_stairs
 from h3data.scene.freespace.distance_field import DistanceField
 from h3data.scene.freespace.floor_map import FloorMap
 from h3data.scene.records import Scene
@@ -63,7 +65,7 @@ class FreeSpace(FloorMap):
             height_m: Headroom that it needs.
             max_climb_m: Steps and things up to this high are walked over.
             cell_m: Side of a cell of the distance grid.
-            floor_y: Which floor; None takes the one with the largest area.
+            floor_y: Which floor; None takes the one with the largest area, or all storeys where stairs join them.
             method: ``shapes`` is exact and needs collision shapes and rooms, ``mesh`` finds the floor among triangles
                 by voxels of 2.5 cm, ``auto`` takes the first where it can.
             cache: Whether a result on disk may be used, and kept (see `h3data.scene.freespace.store`).
@@ -85,6 +87,36 @@ class FreeSpace(FloorMap):
     def save(self, path: str | Path) -> None:
         """Writes one npz file (no pickle), whole or not at all; the lattice table goes with it if it was built."""
         store.save(self, Path(path), lattice=self.__dict__.get("lattice"))  # only if it was built
+
+    # --- how high the floor is -----------------------------------------------------------------------------------------
+    def height_at(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Height [...] [m] of the floor at points [..., 2]; a flight of stairs is a ramp. Continuous wherever one may be."""
+        return floor_heights(self.heights, self.floor_y, points)
+
+    def treads_at(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Height [...] [m] of what a foot stands on at points [..., 2]: as `height_at`, but stairs have steps."""
+        return floor_heights(self.heights, self.floor_y, points, treads=True)
+
+    def root_pose(self, xz: ArrayLike, heading_rad: ArrayLike, *, pitch_over_m: float = 0.0) -> Array:
+        """pose7 [..., 7] of agent roots on the floor at points [..., 2] with headings [...].
+
+        With ``pitch_over_m`` roots pitch with the floor under the ends of a base of that length, at their mean height; others
+        stay upright.
+        """
+        if not len(self.heights):
+            return ground_pose(xz, heading_rad, self.floor_y)
+        return sloped_pose(self.height_at, xz, heading_rad, pitch_over_m)
+
+    @property
+    def has_stairs(self) -> bool:
+        """Whether one may walk from one storey to another."""
+        return bool(self.heights[:, STEPS].any())
+
+    @cached_property
+    def without_stairs(self) -> FreeSpace:
+        """The same for agents that cannot climb: flights of stairs are obstacles, each storey is an island. Level floors are
+        their own."""
+        return FreeSpace.from_map(without_stairs(self)) if self.has_stairs else self
 
     # --- distance to obstacles ------------------------------------------------------------------------------------------
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:

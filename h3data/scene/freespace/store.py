@@ -18,6 +18,7 @@ from shapely.geometry import MultiPolygon
 from h3data import files
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
+from h3data.scene.floor_heights import COLUMNS, LEVEL
 from h3data.scene.freespace._lattice import Lattice
 from h3data.scene.freespace._visibility import Graph
 from h3data.scene.freespace.floor_map import FloorMap
@@ -38,6 +39,8 @@ def save(space: FloorMap, path: Path, *, lattice: Lattice | None = None) -> None
         "sdf": space.sdf,
         "polygon": np.frombuffer(shapely.to_wkb(space.polygon), np.uint8),
     }
+    if len(space.heights):
+        arrays["heights"] = space.heights
     arrays |= {f"graph.{name}": value for name, value in space.graph._asdict().items()}
     if lattice is not None:
         arrays |= {f"lattice.{name}": np.asarray(value) for name, value in lattice._asdict().items()}
@@ -105,6 +108,9 @@ def _from_arrays(arrays: dict[str, NDArray]) -> tuple[FloorMap, Lattice | None]:
         faults.append("sdf is not a finite float32 grid")
     if graph.distance.shape != (n, n) or graph.previous.shape != (n, n):
         faults.append(f"tables of {graph.distance.shape} for {n} corners")
+    heights = arrays.get("heights", LEVEL)
+    if heights.ndim != 2 or heights.shape[1] != COLUMNS or not np.isfinite(heights).all():
+        faults.append(f"heights of shape {list(heights.shape)}")
     if len(graph.bucket_start) != graph.bucket_label.size + 1:
         faults.append("buckets do not fit their grid")
     if faults or not isinstance(polygon, MultiPolygon):
@@ -116,6 +122,7 @@ def _from_arrays(arrays: dict[str, NDArray]) -> tuple[FloorMap, Lattice | None]:
         sdf=arrays["sdf"],
         polygon=polygon,
         graph=graph,
+        heights=heights,
         **numbers,
     )
     if "lattice.table" not in arrays:

@@ -5,6 +5,7 @@
 - construction: `structure` (walls, ceiling, windows), `floors`; looks: `style`, `materials`; meshes: `solids`, `primitives`
 - furnishing: `rooms` (contents of each kind of room), `furnishing/` (furniture, objects, placement)
 - second generation (`HomeSpec.generation`): `kinds/` (what things are), `lived_in/` (styles, rooms, clutter)
+- two storeys (`HomeSpec.storeys`): `storeys/`
 - `check`: every room and receptacle is reachable
 """
 
@@ -26,12 +27,15 @@ def build_home(spec: HomeSpec) -> Scene:
 
 
 def categories_of(scene: Scene) -> list[str]:
-    """Names of semantic classes in the order of their ids: of the first generation or, for homes of the second, of all."""
+    """Names of semantic classes in the order of their ids: of the first generation or, for homes of the second, of all, those
+    of stairs only where there are some."""
     if scene.source.get("kind") != "home" or scene.source.get("generation", 1) == 1:
         return list(CATEGORIES)
-    from h3data.scene.homes.kinds import KINDS
+    from h3data.scene.homes.kinds import BUILDING, KINDS
 
-    return list(KINDS)
+    if scene.source.get("storeys", 1) > 1:
+        return sorted(KINDS, key=lambda name: KINDS[name].semantic_id)
+    return [name for name in KINDS if name not in BUILDING]
 
 
 __all__ = [

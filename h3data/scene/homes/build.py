@@ -27,6 +27,9 @@ from h3data.scene.homes.lived_in.rooms import furnish
 from h3data.scene.homes.rooms import FURNISH
 from h3data.scene.homes.solids import subdivided
 from h3data.scene.homes.spec import HomeSpec, stage_rng
+from h3data.scene.homes.storeys.join import joined_storeys
+from h3data.scene.homes.storeys.plan import plan_storeys, upper_seed
+from h3data.scene.homes.storeys.stairwell import TOP_M, stairwell_assets
 from h3data.scene.homes.style import Style, sample_style
 from h3data.scene.records import Articulation, Asset, Instance, Room, Scene
 
@@ -34,6 +37,8 @@ _log = logging.getLogger(__name__)
 _ATTEMPTS = 12
 _ROOM_ATTEMPTS = 3
 _LAMP_EVERY_M = 4.5
+_STAIR_LAMPS = (0.2, 0.8)
+"""Places of the lamps along a stairwell, as shares of its length."""
 
 
 class _Collector:
@@ -105,9 +110,9 @@ class _Collector:
 def build_home(spec: HomeSpec) -> Scene:
     """A furnished home: rooms, walls with doors and windows, furniture, small objects to carry.
 
-    World frame, +Y up, floor at y = 0, footprint from (0, 0) to (width, depth) in (x, z). The ceiling and its lamps are in
-    the layer ``ceiling``. The same spec gives the same bytes. A disc of 0.30 m radius can reach every room and every
-    receptacle; plans that fail this are sampled anew, up to 12 times.
+    World frame, +Y up, floor at y = 0, footprint from (0, 0) to (width, depth) in (x, z); an upper storey lies beside it.
+    The ceiling and its lamps are in the layer ``ceiling``. The same spec gives the same bytes. A disc of 0.30 m radius can
+    reach every room and every receptacle; plans that fail this are sampled anew, up to 12 times.
 
     Raises:
         SceneError: no attempt succeeded.
@@ -115,12 +120,11 @@ def build_home(spec: HomeSpec) -> Scene:
     reasons = []
     for attempt in range(_ATTEMPTS):
         try:
-            scene = _attempt(spec, attempt)
+            scene, scene_faults = _attempt(spec, attempt) if spec.storeys == 1 else _attempt_storeys(spec, attempt)
         except SceneError as error:
             reasons.append(str(error))
             _log.debug("%s, attempt %d: %s", spec, attempt, error)
             continue
-        scene_faults = faults(scene)
         if not scene_faults:
             return scene
         reasons += scene_faults
@@ -130,9 +134,41 @@ def build_home(spec: HomeSpec) -> Scene:
     )
 
 
-def _attempt(spec: HomeSpec, attempt: int) -> Scene:
+def _attempt(spec: HomeSpec, attempt: int) -> tuple[Scene, list[str]]:
+    """A home and its faults."""
     layout = plan_layout(spec, attempt)
-    style = _style(spec, layout, attempt)
+    scene = _storey(spec, attempt, layout, _style(spec, layout, attempt))
+    return scene, faults(scene)
+
+
+def _attempt_storeys(spec: HomeSpec, attempt: int) -> tuple[Scene, list[str]]:
+    """A home with two storeys and the faults of either."""
+    below = replace(spec, storeys=1)
+    above = replace(below, seed=upper_seed(spec.seed), style=spec.look)
+    plan = plan_storeys(below, above, attempt)
+    style = _style(below, plan.ground, attempt)
+    upstairs = replace(style, paint=_style(above, plan.upper, attempt).paint)
+    ground, upper = _storey(below, attempt, plan.ground, style), _storey(above, attempt, plan.upper, upstairs)
+    home = _Collector()
+    for asset, layer in stairwell_assets(plan, style, stage_rng(below, "stairs", attempt)):
+        home.structure(asset, layer)
+    (x0, z0, x1, z1), lamp = plan.well.rect, ceiling_lamp(stage_rng(below, "stair lamps", attempt), style)
+    for share in _STAIR_LAMPS:
+        x, z = (x0 + x1) / 2, z0 + share * (z1 - z0)
+        home.furniture(Placed(piece=lamp, room="stairs", x=x, z=z, quarter=0, y=TOP_M, layer="ceiling"))
+    well = Scene(name="stairs", assets=_dense(home.assets, spec), instances=tuple(home.instances))
+    scene = replace(joined_storeys(plan, ground, upper, well), name=_name(spec), source=_source(spec))
+    return scene, [*faults(ground), *faults(upper)]
+
+
+def _dense(assets: dict[str, Asset], spec: HomeSpec) -> dict[str, Asset]:
+    if spec.density == 1:
+        return assets
+    return {n: replace(a, mesh=subdivided(a.mesh, spec.density)) for n, a in assets.items()}
+
+
+def _storey(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> Scene:
+    """A furnished plan at y = 0."""
     states = _furnish(spec, attempt, layout, style)
     home = _Collector()
     _add_structure(home, layout, style, spec, attempt)
@@ -162,8 +198,7 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
     rooms = tuple(
         Room(name=r.name, category=r.category, rectangles=np.array([r.rect], np.float64)) for r in layout.rooms
     )
-    if spec.density > 1:
-        home.assets = {n: replace(a, mesh=subdivided(a.mesh, spec.density)) for n, a in home.assets.items()}
+    home.assets = _dense(home.assets, spec)
     return Scene(
         name=_name(spec),
         assets=home.assets,
@@ -196,9 +231,11 @@ def _furnish(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> list
     """All rooms with their furniture.
 
     The dining table stands in the dining room if there is one, else in a kitchen above 10.5 m2 or in the living room; the
-    other of the two is the fallback.
+    other of the two is the fallback. A plan without a kitchen is that of an upper storey, where nobody dines.
     """
     kinds = [r.category for r in layout.rooms]
+    if "kitchen" not in kinds:
+        return [_furnish_room(spec, attempt, layout, style, r, dining=False) for r in layout.rooms]
     kitchen = layout.rooms[kinds.index("kitchen")]
     hosts = ["kitchen", "living"] if kitchen.area > 10.5 else ["living", "kitchen"]
     if "dining" in kinds:

@@ -39,8 +39,9 @@ class RoomPlan:
         return rect_area(self.rect)
 
 
-OpeningKind = Literal["door", "wide", "window", "entrance", "gate", "parapet"]
-"""``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its balustrade."""
+OpeningKind = Literal["door", "wide", "window", "entrance", "gate", "parapet", "passage"]
+"""``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its balustrade, ``passage`` = the
+doorway to a stairwell."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,19 +103,23 @@ def _named(tiles: Sequence[Tile], width: float, depth: float) -> tuple[RoomPlan,
     kinds = [kind for kind, _ in tiles]
     numbers: dict[str, int] = {}
     rooms = []
-    half = WALL_THICKNESS / 2
     for kind, rect in tiles:
         numbers[kind] = numbers.get(kind, 0) + 1
         name = f"{kind}_{numbers[kind]}" if kinds.count(kind) > 1 else kind
-        x0, z0, x1, z1 = rect
-        interior = (
-            x0 + (half if x0 > 0 else 0),
-            z0 + (half if z0 > 0 else 0),
-            x1 - (half if x1 < width else 0),
-            z1 - (half if z1 < depth else 0),
-        )
-        rooms.append(RoomPlan(name=name, category=kind, rect=rect, interior=interior))
+        rooms.append(RoomPlan(name=name, category=kind, rect=rect, interior=interior_of(rect, width, depth)))
     return tuple(rooms)
+
+
+def interior_of(rect: Rect, width: float, depth: float) -> Rect:
+    """The floor between the wall faces of a room in a plan of this size."""
+    x0, z0, x1, z1 = rect
+    half = WALL_THICKNESS / 2
+    return (
+        x0 + (half if x0 > 0 else 0),
+        z0 + (half if z0 > 0 else 0),
+        x1 - (half if x1 < width else 0),
+        z1 - (half if z1 < depth else 0),
+    )
 
 
 # --- doors ------------------------------------------------------------------------------------------------------------
@@ -261,12 +266,12 @@ _WINDOWS = {
 }
 """Windows per kind of room: largest number of sides, range of widths, bottom, top [m]. Its order is also that of a plan's
 rooms."""
-_NEED_LIGHT = ("living", "bedroom", "dining", "child")
+NEED_LIGHT = ("living", "bedroom", "dining", "child")
 """Kinds of rooms that must have an outer wall long enough for a window."""
 
 
 @dataclass(frozen=True)
-class _Outer:
+class OuterWall:
     """A stretch of a room's wall that faces outdoors, between the wall faces at its ends."""
 
     axis: Literal[0, 1]
@@ -275,7 +280,7 @@ class _Outer:
     high: float
 
 
-def _outer(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[_Outer]:
+def outer_walls(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[OuterWall]:
     walls = [w for r in rooms if r is not room and (w := shared_wall(room.rect, r.rect)) is not None]
     stretches = []
     axes: tuple[Literal[0, 1], ...] = (1, 0)
@@ -288,7 +293,7 @@ def _outer(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[_Outer]:
             for low, high in [*shared, (room.interior[axis + 2] + WALL_THICKNESS / 2, np.inf)]:
                 stop = min(low - WALL_THICKNESS / 2, room.interior[axis + 2])
                 if stop - at > 0.9:
-                    stretches.append(_Outer(axis, line, at, stop))
+                    stretches.append(OuterWall(axis, line, at, stop))
                 at = max(at, high + WALL_THICKNESS / 2)
     return stretches
 
@@ -315,7 +320,7 @@ def _plan_outer(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[O
     )
     for room in rooms:
         most, widths, bottom, top = _WINDOWS[room.category]
-        sides = [s for s in _outer(room, rooms) if room is not host or s != door]
+        sides = [s for s in outer_walls(room, rooms) if room is not host or s != door]
         if room.category == "balcony":
             openings += [_opening(room, "parapet", s, (s.low + 0.06, s.high - 0.06), (bottom, top)) for s in sides]
             continue
@@ -345,13 +350,13 @@ def _plan_outer(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[O
 
 
 def _opening(
-    room: RoomPlan, kind: OpeningKind, side: _Outer, span: tuple[float, float], height: tuple[float, float]
+    room: RoomPlan, kind: OpeningKind, side: OuterWall, span: tuple[float, float], height: tuple[float, float]
 ) -> Opening:
     return Opening(kind=kind, axis=side.axis, line=side.line, span=span, height=height, rooms=(room.name,))
 
 
-def _entrances(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[_Outer]:
-    return [s for s in _outer(room, rooms) if s.high - s.low > 1.15] if room.category in ("hall", "living") else []
+def _entrances(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[OuterWall]:
+    return [s for s in outer_walls(room, rooms) if s.high - s.low > 1.15] if room.category in ("hall", "living") else []
 
 
 def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
@@ -395,4 +400,4 @@ def _sound(plan: Zoning) -> bool:
         _plan_doors(np.random.Generator(np.random.Philox(key=0)), rooms)
     except SceneError:
         return False
-    return all(any(s.high - s.low > 1.7 for s in _outer(r, rooms)) for r in rooms if r.category in _NEED_LIGHT)
+    return all(any(s.high - s.low > 1.7 for s in outer_walls(r, rooms)) for r in rooms if r.category in NEED_LIGHT)

@@ -48,6 +48,7 @@ HOME_PRESETS: Mapping[str, HomePreset] = MappingProxyType(
 MAX_AREA_M2, MAX_BEDROOMS, MAX_BATHROOMS = 1200.0, 8, 6
 MAX_CLUTTER, MAX_DENSITY = 4.0, 12
 GENERATIONS = 2
+STOREYS = 2
 HOME_NAMES: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         f"{preset}{generation if generation > 1 else ''}{'-open' if opens else ''}": MappingProxyType(
@@ -57,9 +58,16 @@ HOME_NAMES: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         for generation in range(1, GENERATIONS + 1)
         for preset in get_args(Preset)
     }
+    | {
+        f"{preset}2-storeys{'-open' if opens else ''}": MappingProxyType(
+            {"preset": preset, "generation": 2, "articulated": opens, "storeys": STOREYS}
+        )
+        for opens in (False, True)
+        for preset in ("small", "medium")
+    }
 )
 """Options of `HomeSpec` by the name before the colon of a home: ``small:3``, ``small2:3`` is of the second generation, in
-``small-open:3`` and ``small2-open:3`` furniture opens."""
+``small-open:3`` and ``small2-open:3`` furniture opens, ``small2-storeys:3`` has two storeys."""
 
 
 def min_area_m2(bedrooms: int, bathrooms: int) -> float:
@@ -91,12 +99,15 @@ class HomeSpec:
     """1 = the homes of `h3-homes`, 2 = those of `h3-homes-v2`: more kinds of things, rooms and styles."""
     style: Look | None = None
     """Style of a home of the second generation; None = chosen by the seed."""
+    storeys: int = 1
+    """2 adds an upper storey beside a stairwell (second generation, ``small`` and ``medium``). Area, bedrooms and bathrooms are
+    those of each storey."""
 
     def __repr__(self) -> str:
         """As of a plain dataclass; without the fields that came later where they are not set, because jobs and recordings have
         their identity from it."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        for name, default in (("articulated", False), ("generation", 1), ("style", None)):
+        for name, default in (("articulated", False), ("generation", 1), ("style", None), ("storeys", 1)):
             if values[name] == default:
                 del values[name]
         return f"HomeSpec({', '.join(f'{name}={value!r}' for name, value in values.items())})"
@@ -106,6 +117,12 @@ class HomeSpec:
         if self.style is not None and (self.style not in get_args(Look) or self.generation < 2):
             raise InputError(
                 f"Unknown style {self.style!r}. Available: {', '.join(get_args(Look))}, in homes with generation=2."
+            )
+        _check_whole("storeys", self.storeys, 1, STOREYS)
+        if self.storeys > 1 and (self.generation < 2 or self.preset == "large"):
+            raise InputError(
+                f"Homes with {self.storeys} storeys are small or medium and of generation=2, got preset={self.preset!r}, "
+                f"generation={self.generation}."
             )
         if self.preset not in get_args(Preset):
             raise InputError(f"Unknown home preset {self.preset!r}. Available: {', '.join(get_args(Preset))}.")
@@ -160,6 +177,8 @@ class HomeSpec:
             changed["style"] = self.look
         if self.articulated:
             changed["articulated"] = True
+        if self.storeys > 1:
+            changed["storeys"] = int(self.storeys)
         return changed
 
 

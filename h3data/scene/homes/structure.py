@@ -68,7 +68,7 @@ def _inner_walls(layout: Layout) -> list[tuple[int, float, float, float]]:
     return merged
 
 
-def _wall_runs(layout: Layout) -> list[tuple[int, float, tuple[float, float], tuple[float, float]]]:
+def wall_runs(layout: Layout) -> list[tuple[int, float, tuple[float, float], tuple[float, float]]]:
     """(axis, line, span along, span across) of every wall; outer walls along x include the corners."""
     t = WALL_THICKNESS
     runs = [(axis, line, (low, high), (line - t / 2, line + t / 2)) for axis, line, low, high in _inner_walls(layout)]
@@ -95,7 +95,7 @@ def _outer_walls(layout: Layout) -> list[tuple[int, float, tuple[float, float]]]
 def wall_boxes(layout: Layout) -> list[WallBox]:
     """Solid boxes of all walls, with lintels above doors and windows and parapets below windows."""
     boxes = []
-    for axis, line, along, across in _wall_runs(layout):
+    for axis, line, along, across in wall_runs(layout):
         cuts = [o for o in layout.openings if o.axis == axis and abs(o.line - line) < 1e-9]
         cuts = sorted((o for o in cuts if along[0] - 1e-6 <= o.span[0] <= along[1]), key=lambda o: o.span)
         at = along[0]
@@ -132,7 +132,7 @@ def _pieces(low: float, high: float, openings: Iterable[Opening]) -> list[_Piece
     return [p for p in out if p[2] - p[0] > 1e-6]
 
 
-def _face_quad(axis: int, at: float, outward: int, piece: _Piece) -> list[tuple[float, float, float]]:
+def face_quad(axis: int, at: float, outward: int, piece: _Piece) -> list[tuple[float, float, float]]:
     """Corners of a wall-face piece; ``outward`` is the sign of its normal along the axis across the wall."""
     u0, y0, u1, y1 = piece
     ring = [(u0, y0), (u1, y0), (u1, y1), (u0, y1)]
@@ -169,12 +169,12 @@ def walls_asset(layout: Layout, style: Style) -> Asset:
             pieces = _pieces(low, high, openings)
             if room.category == "bathroom":
                 tiles, pieces = _below_above(pieces, 5 * TILE_M)
-                mesh.quads([_face_quad(axis, face, sign, t) for t in tiles], style.wall_tile)
-            mesh.quads([_face_quad(axis, face, sign, p) for p in pieces], paint)
+                mesh.quads([face_quad(axis, face, sign, t) for t in tiles], style.wall_tile)
+            mesh.quads([face_quad(axis, face, sign, p) for p in pieces], paint)
     _facade(mesh, layout, style)
     for opening in layout.openings:
         _reveal(mesh, layout, opening, style.trim)
-    for axis, _, along, across in _wall_runs(layout):
+    for axis, _, along, across in wall_runs(layout):
         x0, z0, x1, z1 = plan_box(axis, along, across)
         top = [(x0, WALL_HEIGHT, z1), (x1, WALL_HEIGHT, z1), (x1, WALL_HEIGHT, z0), (x0, WALL_HEIGHT, z0)]
         mesh.quads([top], style.wall_top)
@@ -194,7 +194,7 @@ def _facade(mesh: MeshBuilder, layout: Layout, style: Style) -> None:
         low, high = span[0] - (corner if span[0] == 0 else 0), span[1] + (corner if span[1] == end else 0)
         cuts = [o for o in outside if o.axis == axis and o.line == line and low < o.span[0] < high]
         pieces = _pieces(low, high, cuts)
-        mesh.quads([_face_quad(axis, line + t if line else -t, 1 if line else -1, p) for p in pieces], style.facade)
+        mesh.quads([face_quad(axis, line + t if line else -t, 1 if line else -1, p) for p in pieces], style.facade)
     for notch in layout.notches:
         for axis in (0, 1):
             end = (layout.width, layout.depth)[axis]
@@ -206,7 +206,7 @@ def _facade(mesh: MeshBuilder, layout: Layout, style: Style) -> None:
                     continue
                 cuts = [o for o in outside if o.axis == axis and abs(o.line - line) < 1e-9 and low < o.span[0] < high]
                 pieces = _pieces(low, high, cuts)
-                mesh.quads([_face_quad(axis, line + sign * t / 2, sign, p) for p in pieces], style.facade)
+                mesh.quads([face_quad(axis, line + sign * t / 2, sign, p) for p in pieces], style.facade)
 
 
 def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -> None:
@@ -214,7 +214,7 @@ def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -
     c0, c1 = wall_thickness_span(layout, opening)
     (u0, u1), (y0, y1) = opening.span, opening.height
     across = 1 - opening.axis
-    mesh.quads([_face_quad(across, u0, 1, (c0, y0, c1, y1)), _face_quad(across, u1, -1, (c0, y0, c1, y1))], color)
+    mesh.quads([face_quad(across, u0, 1, (c0, y0, c1, y1)), face_quad(across, u1, -1, (c0, y0, c1, y1))], color)
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (c0, c1))
     mesh.quads([[(x0, y1, z0), (x1, y1, z0), (x1, y1, z1), (x0, y1, z1)]], color)
     if y0 > 0:
@@ -244,13 +244,13 @@ def trim_asset(layout: Layout, style: Style) -> Asset:
                 a = ends[i] + (_CASING_WIDTH if i > 0 else 0)
                 b = ends[i + 1] - (_CASING_WIDTH if i + 2 < len(ends) else 0)
                 if b - a > 0.01:
-                    _bar(mesh, axis, (a, b), depth, (0.0, _BASEBOARD_HEIGHT), style.trim)
+                    wall_bar(mesh, axis, (a, b), depth, (0.0, _BASEBOARD_HEIGHT), style.trim)
             for o in doors:
                 _casing(mesh, axis, o, (face, face + sign * 0.016), style.trim)
     return Asset(name="trim", mesh=mesh.mesh(), category="trim")
 
 
-def _bar(
+def wall_bar(
     mesh: MeshBuilder,
     axis: int,
     along: tuple[float, float],
@@ -264,9 +264,9 @@ def _bar(
 
 def _casing(mesh: MeshBuilder, axis: int, o: Opening, across: tuple[float, float], color: Color) -> None:
     w, top = _CASING_WIDTH, o.height[1]
-    _bar(mesh, axis, (o.span[0] - w, o.span[0]), across, (0.0, top), color)
-    _bar(mesh, axis, (o.span[1], o.span[1] + w), across, (0.0, top), color)
-    _bar(mesh, axis, (o.span[0] - w, o.span[1] + w), across, (top, top + w), color)
+    wall_bar(mesh, axis, (o.span[0] - w, o.span[0]), across, (0.0, top), color)
+    wall_bar(mesh, axis, (o.span[1], o.span[1] + w), across, (0.0, top), color)
+    wall_bar(mesh, axis, (o.span[0] - w, o.span[1] + w), across, (top, top + w), color)
 
 
 def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> Asset:
@@ -280,11 +280,13 @@ def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> 
     frame = (middle - 0.03, middle + 0.03)
     posts = [u0, (u0 + u1) / 2 - bar / 2, u1 - bar] if u1 - u0 > 0.8 else [u0, u1 - bar]
     for u in posts:
-        _bar(mesh, opening.axis, (u, u + bar), frame, (y0 + bar, y1 - bar), style.trim)
-    _bar(mesh, opening.axis, (u0, u1), frame, (y0, y0 + bar), style.trim)
-    _bar(mesh, opening.axis, (u0, u1), frame, (y1 - bar, y1), style.trim)
-    _bar(mesh, opening.axis, (u0, u1), (middle - 0.005, middle + 0.005), (y0 + bar, y1 - bar), style.glass)
-    _bar(mesh, opening.axis, (u0 - 0.05, u1 + 0.05), (inner, inner + into * 0.06), (y0 - 0.03, y0 + 0.004), style.trim)
+        wall_bar(mesh, opening.axis, (u, u + bar), frame, (y0 + bar, y1 - bar), style.trim)
+    wall_bar(mesh, opening.axis, (u0, u1), frame, (y0, y0 + bar), style.trim)
+    wall_bar(mesh, opening.axis, (u0, u1), frame, (y1 - bar, y1), style.trim)
+    wall_bar(mesh, opening.axis, (u0, u1), (middle - 0.005, middle + 0.005), (y0 + bar, y1 - bar), style.glass)
+    wall_bar(
+        mesh, opening.axis, (u0 - 0.05, u1 + 0.05), (inner, inner + into * 0.06), (y0 - 0.03, y0 + 0.004), style.trim
+    )
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (min(inner, outer), max(inner, outer)))
     shape = box_shape((x0, y0, z0), (x1, y1, z1))
     return Asset(name=f"window_{index}", mesh=mesh.mesh(), category="window", shapes=(shape,))
@@ -295,7 +297,7 @@ def balustrade_asset(layout: Layout, opening: Opening, index: int, style: Style)
     mesh = MeshBuilder()
     c0, c1 = wall_thickness_span(layout, opening)
     middle, (u0, u1), y = (c0 + c1) / 2, opening.span, opening.height[0]
-    _bar(mesh, opening.axis, (u0, u1), (middle - 0.08, middle + 0.08), (y, y + 0.03), style.wood_dark)
+    wall_bar(mesh, opening.axis, (u0, u1), (middle - 0.08, middle + 0.08), (y, y + 0.03), style.wood_dark)
     return Asset(name=f"balustrade_{index}", mesh=mesh.mesh(), category="trim")
 
 
@@ -305,9 +307,9 @@ def entrance_asset(layout: Layout, opening: Opening, style: Style, name: str = "
     c0, c1 = wall_thickness_span(layout, opening)
     middle = (c0 + c1) / 2
     (u0, u1), (_, y1) = opening.span, opening.height
-    _bar(mesh, opening.axis, (u0, u1), (middle - 0.025, middle + 0.025), (0.0, y1), style.front_door)
+    wall_bar(mesh, opening.axis, (u0, u1), (middle - 0.025, middle + 0.025), (0.0, y1), style.front_door)
     for low, high in ((0.18, 0.95), (1.1, y1 - 0.18)):
-        _bar(
+        wall_bar(
             mesh,
             opening.axis,
             (u0 + 0.15, u1 - 0.15),
@@ -315,8 +317,8 @@ def entrance_asset(layout: Layout, opening: Opening, style: Style, name: str = "
             (low, high),
             shade(style.front_door, 1.12),
         )
-    _bar(mesh, opening.axis, (u0 + 0.05, u0 + 0.09), (middle - 0.075, middle + 0.075), (0.98, 1.06), style.metal)
-    _bar(
+    wall_bar(mesh, opening.axis, (u0 + 0.05, u0 + 0.09), (middle - 0.075, middle + 0.075), (0.98, 1.06), style.metal)
+    wall_bar(
         mesh, opening.axis, (u0, u1), (c0, c1), (-0.02, 0.004), style.metal
     )  # threshold: closes the gap under the door
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (c0, c1))
@@ -333,8 +335,8 @@ def blind_asset(layout: Layout, opening: Opening, index: int, style: Style, rng:
     (u0, u1), (y0, y1) = opening.span, opening.height
     top, down = y1 + 0.11, rng.uniform(0.1, 0.5) * (y1 - y0)
     cloth = vary(rng, shade(style.fabric_2, 1.25), 0.05)
-    _bar(mesh, opening.axis, (u0 - 0.06, u1 + 0.06), (face, face + into * 0.07), (top - 0.07, top), style.trim)
-    _bar(
+    wall_bar(mesh, opening.axis, (u0 - 0.06, u1 + 0.06), (face, face + into * 0.07), (top - 0.07, top), style.trim)
+    wall_bar(
         mesh,
         opening.axis,
         (u0 - 0.04, u1 + 0.04),
@@ -343,5 +345,5 @@ def blind_asset(layout: Layout, opening: Opening, index: int, style: Style, rng:
         cloth,
     )
     hem = (face + into * 0.026, face + into * 0.038)
-    _bar(mesh, opening.axis, (u0 - 0.04, u1 + 0.04), hem, (y1 - down - 0.02, y1 - down), style.trim)
+    wall_bar(mesh, opening.axis, (u0 - 0.04, u1 + 0.04), hem, (y1 - down - 0.02, y1 - down), style.trim)
     return Asset(name=f"blind_{index}", mesh=mesh.mesh(), category="blind")

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.reach import hand_points, reach_poses, reacher
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose, quat_from_heading, quat_rotate
+from h3data.geometry import Array, quat_from_heading, quat_rotate
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.person import HAND_SPEED_MPS
 from sim_kinematic.agents.stands import discs_fit
 from sim_kinematic.avoidance.robot_base import base_of
-from sim_kinematic.contact.frames import body_frames
+from sim_kinematic.contact.frames import body_frames, root_pose
 from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, ArmSpec, WalkerSpec
 from sim_kinematic.motion.state import WorldState
@@ -54,7 +54,7 @@ class RobotAgent:
         for _ in range(PLACES_TRIED):
             (xz,), heading = self.free.sample(rng, 1), float(rng.uniform(-np.pi, np.pi))
             fits = discs_fit(self.free, self._base, xz, heading)
-            if fits and self._is_clear(ground_pose(xz, heading, self.free.floor_y)):
+            if fits and self._is_clear(root_pose(self.body, xz, heading, self.free)):
                 return xz, heading
         raise InputError(f"Found no place for {self.body.name} in {PLACES_TRIED} tries. Hint: a larger home.")
 
@@ -69,13 +69,13 @@ class RobotAgent:
             drive_robots(self.own, self.free, values, self._base)
         else:
             move_arms(self.own, self.body, values[:, :-1], ArmSpec())
-            hands = robot_hands(self.own, self.body, self.free.floor_y)
+            hands = robot_hands(self.own, self.body, self.free)
             grip_objects(self.state, hands, values[:, -1], ArmSpec(), agent=self.number)
         self._pose()
 
     def _pose(self) -> None:
         """The root poses [W, 7], frames of the links [W, L, 4, 4]."""
-        self.base = ground_pose(self.own.xz, self.own.heading, self.free.floor_y)
+        self.base = root_pose(self.body, self.own.xz, self.own.heading, self.free)
         self.frames = self.body.link_matrices(self.base, self.own.joints)
 
 
@@ -118,7 +118,7 @@ class HumanAgent:
             self._pose(action)
         else:
             away = quat_from_heading(-self.own.heading)
-            origin = ground_pose(self.own.xz, self.own.heading, self.free.floor_y)[:, :3]
+            origin = self.free.root_pose(self.own.xz, self.own.heading)[:, :3]
             way = quat_rotate(away, targets - origin) - self._hands
             most = HAND_SPEED_MPS * STEP_S
             self._hands += way * np.minimum(1.0, most / np.maximum(np.linalg.norm(way, axis=1), 1e-9))[:, None]
@@ -144,9 +144,9 @@ class HumanAgent:
     def _pose(self, action: Action) -> None:
         """The root poses [W, 7], frames of the joints [W, 55, 4, 4]."""
         own, human = self.own, self.body
-        self.base = ground_pose(own.xz, own.heading, self.free.floor_y)
+        self.base = self.free.root_pose(own.xz, own.heading)
         if action == "nav":
-            self.frames = body_frames(human, own, self.free.floor_y)
+            self.frames = body_frames(human, own, self.free)
         else:
             reached = reach_poses(human, self._hands, "right")
             self.frames = human.joint_matrices(self.base, reached.quats, reached.pelvis)

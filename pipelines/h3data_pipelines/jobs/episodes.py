@@ -76,6 +76,8 @@ class Job:
                 del home["generation"], home["style"]
             if home.get("articulated") is False:
                 del home["articulated"]
+            if home.get("storeys") == 1:
+                del home["storeys"]
         return told
 
     @cached_property

@@ -8,6 +8,7 @@ import numpy as np
 
 from h3data.geometry import Array, pose_to_matrix
 from h3data.scene import Instance, Scene
+from h3data.scene.floor_heights import floor_heights, room_heights
 from sim_kinematic.contact import MovingShapes, collide, contacts
 from sim_kinematic.contact.clearance import scenery_of
 
@@ -30,7 +31,7 @@ class ObjectRoom:
 
     def __init__(self, scene: Scene, names: Sequence[str], floor_y: float) -> None:
         """``names`` are the objects of the task, in the order of their poses [K, 7]."""
-        self._scenery, self._floor_y = scenery_of(scene), floor_y
+        self._scenery, self._floor_y, self._heights = scenery_of(scene), floor_y, room_heights(scene.rooms)
         instances = {i.name: i for i in scene.instances}
         self._shapes = [
             MovingShapes(scene.assets[instances[n].asset].shapes, instances[n].scale.tolist()) for n in names
@@ -45,7 +46,8 @@ class ObjectRoom:
     def refusal(self, k: int, pose: Array, poses: Array) -> str:
         """Why object ``k`` cannot be put down at a pose7, beside the others at ``poses`` [K, 7]: ``no_space``,
         ``no_support``, or nothing."""
-        if pose[1] + self._extents[k][1] < self._floor_y - SUNK_M or self._is_inside(k, pose):
+        floor_y = self._floor_below(pose)
+        if pose[1] + self._extents[k][1] < floor_y - SUNK_M or self._is_inside(k, pose):
             return "no_space"
         things = [(poses[n, :3], self._extents[n]) for n in range(len(poses)) if n != k] + self._others
         radius, low, high = self._extents[k]
@@ -53,12 +55,15 @@ class ObjectRoom:
             beside = np.hypot(*(pose[:3] - place)[[0, 2]]) > radius + other_radius + APART_M
             if not beside and pose[1] + low < place[1] + other_high and place[1] + other_low < pose[1] + high:
                 return "no_space"
-        on_floor = pose[1] + low - self._floor_y <= SUPPORT_M
+        on_floor = pose[1] + low - floor_y <= SUPPORT_M
         return "" if on_floor or self._collides(k, pose, -SUPPORT_M) else "no_support"
+
+    def _floor_below(self, pose: Array) -> float:
+        return float(floor_heights(self._heights, self._floor_y, pose[[0, 2]], treads=True))
 
     def fallen(self, k: int, pose: Array) -> Array:
         """The pose7 of object ``k`` after it has fallen straight down on what is below; one that is in something stays."""
-        lowest = self._floor_y - self._extents[k][1] - pose[1]
+        lowest = self._floor_below(pose) - self._extents[k][1] - pose[1]
         down = 0.0
         if lowest >= 0 or self._collides(k, pose, 0.0):
             return pose.copy()

@@ -13,7 +13,6 @@ from h3data.bodies.people.kernels.hands import lead_arm, turn_head
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import (
     Array,
-    ground_pose,
     pose_inverse,
     pose_multiply,
 )
@@ -272,7 +271,7 @@ class DrivenPerson(PersonActor):
     def _show(self, gait: HumanState) -> None:
         """Takes the pose of a gait, with arms and head led to their targets."""
         person, body = self.person, self.person.body
-        person.base = ground_pose(gait.xz[0], gait.heading[0], float(person.base[1]))
+        person.base = person.root_at(gait)
         person.walk.step(person.base)
         quats, pelvis = person.walk.pose()
         quats = person.with_arms(quats)

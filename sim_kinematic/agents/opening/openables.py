@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from h3data.geometry import Array, pose_from_matrix, pose_to_matrix, transform_points
 from h3data.scene import Box, Instance, Scene
 from h3data.scene.articulation import SceneJoints, handle_points, joints_of, posed, rests_on
+from h3data.scene.floor_heights import floor_heights, room_heights
 from h3data.scene.records import Asset, Shape
 from h3data.scene.shape_bounds import shape_bounds
 from sim_kinematic.agents.driven.object_room import object_extent
@@ -51,6 +52,7 @@ class Openables:
 
     def __post_init__(self) -> None:
         self.joints: SceneJoints = joints_of(self.scene)
+        self._heights = room_heights(self.scene.rooms)
         by_name = {i.name: i for i in self.scene.instances}
         self._instances = [
             [by_name[name] for name in part.instances if by_name[name].motion == "static"]
@@ -178,7 +180,7 @@ class Openables:
         motions = self.joints.motions(positions)
         out = [transform_points(motion, self._samples[j]) for j in self._carried(k) for motion in motions[:, j]]
         every = np.concatenate([np.zeros((0, 3)), *out]).astype(np.float64)
-        return every[every[:, 1] < self.floor_y + TALL_M]
+        return every[every[:, 1] < floor_heights(self._heights, self.floor_y, every[:, ::2]) + TALL_M]
 
     @cached_property
     def _samples(self) -> list[NDArray[np.float64]]:

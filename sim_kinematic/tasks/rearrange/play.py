@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
-from h3data.geometry import ground_pose
 from h3data.kernels import kernel
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.recording.records import JOINTS
@@ -255,7 +254,7 @@ class RearrangePlay:
             floor = floor_of(body, base, world.scene, world.free)
             return RobotActor(body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, clearance)
         x, z, heading = world.starts[number]
-        base = ground_pose(np.array([x, z]), float(heading), world.free.floor_y)
+        base = world.free.root_pose(np.array([x, z]), float(heading))
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
         room = reach_room(world.scene, body, world.free.floor_y)
         sizes = grip_radii(world.scene, self.objects.names)

@@ -65,7 +65,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             human_start=tuple(human),
             objects=episode.added,
             object_paths=episode.object_paths,
-            floor_y=float(episode.free.floor_y),
+            floor_y=float(episode.free.height_at(episode.starts[0, :2])),
             seed=episode.seed,
             robot=f"robot/{episode.pair[0]}",
             human=f"humanoid/{split_walk(episode.pair[1])[0]}",

@@ -24,7 +24,7 @@ from h3data.scene import FreeSpace, Scene, joint_names
 from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_json, command_to_json, interrupts_skill
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.robot_skills import checked_command
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, kinds_of, make_roster
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
@@ -97,6 +97,7 @@ class Rearrange(Task):
         missing one), so that objects, goals and the starts of those two are the same whoever else plays it."""
         self.check_roster(roster)
         robot, human = pair_of(roster)
+        free = common_floor(roster, free)
         starts, targets = draw_episode(scene, free, seed, spec, load_robot(robot), load_humanoid(human))
         return RearrangeEpisode(
             scene=scene,

@@ -121,7 +121,7 @@ def stored_episode(episode: Episode) -> SocialNavEpisode:
         robot_start=tuple(robot),
         human_start=tuple(human),
         human_goals=tuple((float(x), float(z)) for x, z in plan_of(episode).goals),
-        floor_y=float(episode.free.floor_y),
+        floor_y=float(episode.free.height_at(episode.starts[ROBOT, :2])),
         max_steps=episode.spec.max_steps,
         seed=episode.seed,
         robot=f"robot/{episode.roster[ROBOT].model}",

@@ -19,7 +19,7 @@ from h3data.geometry import Array
 from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.roster import AgentSpec, kinds_of
+from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.agents.waypoint_walker import HumanPlan
 from sim_kinematic.motion.spec import SocialNavSpec
@@ -101,6 +101,7 @@ class SocialNav(Task):
         self, scene: Scene, free: FreeSpace, seed: int, spec: SocialNavSpec, roster: tuple[AgentSpec, ...]
     ) -> Episode:
         _require_pair(roster)
+        free = common_floor(roster, free)
         fits = robot_fits(roster[ROBOT].body, spec.robot, scene, free)  # type: ignore[arg-type]
         starts = sample_pair_starts(free, seed, spec, fits=fits)
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts.places)

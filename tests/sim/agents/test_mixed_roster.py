@@ -277,7 +277,7 @@ def test_everybody_sees_everybody(home: Scene, free: FreeSpace) -> None:
         own.xz[:], own.heading[:] = centre + corner, np.arctan2(corner[1], -corner[0])
         if member.kind == "robot":
             own.joints[:] = member.body.rest  # type: ignore[union-attr]
-    drawn.pose(worlds.state, floor_y=50.0)  # far above the home: nothing is in the way
+    drawn.pose(worlds.state, floor=50.0)  # far above the home: nothing is in the way
     for k in (2, 3):
         seen = CameraSensor(agent=k, outputs=("instance",), size=(120, 90)).observe(drawn)["instance"]
         assert np.isin(seen, drawn.instances(k - 2)).sum((1, 2)).min() > 30  # who stands opposite

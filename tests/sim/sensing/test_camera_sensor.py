@@ -64,7 +64,7 @@ def test_the_picture_is_that_of_the_replay(home: Scene, bodies: tuple[Robot, Hum
     phase = float(recording.columns["agent_1.motion_phase"][step])
     walker.distance[0] = (phase - clip.start_phase) * clip.stride_m
     walker.blend[0] = recording.columns["agent_1.motion_blend"][step]
-    drawn.pose(state, floor_y=float(base[1]))
+    drawn.pose(state, floor=float(base[1]))
     ours = ARM.observe(drawn)
     ((_, (theirs,)),) = replay.frames([camera_track(replay, "robot_arm")], [step], outputs=("depth", "semantic"))
     assert (np.abs(ours["depth"][0] - theirs["depth"]) < 1e-4).mean() > 0.999

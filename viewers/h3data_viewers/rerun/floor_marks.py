@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from h3data.recording.records import Recording
@@ -19,6 +20,8 @@ _LOG = logging.getLogger(__name__)
 FREE_COLOR = (102, 187, 106, 160)
 GOAL_COLOR = (236, 64, 122)
 ABOVE_FLOOR_M = 0.015
+STAIRS_EVERY_M = 0.25
+"""In homes with stairs the border has a point at least this often, to follow them."""
 
 
 # --- free space -------------------------------------------------------------------------------------------------------
@@ -38,11 +41,14 @@ def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> boo
         space = FreeSpace.from_scene(scene, radius_m=float(radius))
     else:
         space = FreeSpace.from_scene(scene)
-    rings = [np.asarray(r.coords) for p in space.polygon.geoms for r in (p.exterior, *p.interiors)]
+    borders = [r for p in space.polygon.geoms for r in (p.exterior, *p.interiors)]
+    if len(space.heights):
+        borders = [shapely.segmentize(r, STAIRS_EVERY_M) for r in borders]
+    rings = [np.asarray(r.coords) for r in borders]
     if not rings:
         return False
-    level = space.floor_y + ABOVE_FLOOR_M
-    strips = [np.column_stack([r[:, 0], np.full(len(r), level), r[:, 1]]).astype(np.float32) for r in rings]
+    levels = [space.height_at(r) + ABOVE_FLOOR_M for r in rings]
+    strips = [np.column_stack([r[:, 0], y, r[:, 1]]).astype(np.float32) for r, y in zip(rings, levels, strict=True)]
     sink.static("world/free_space", rr.LineStrips3D(strips, colors=[FREE_COLOR], radii=[0.01]))
     return True
 

@@ -2,9 +2,9 @@
 
 `step_gait` is a phase machine. A foot is either planted, at one place of the floor in the world, or it swings from there to
 where it will be needed: as far ahead as the gait at this speed has it, plus half of what the root moves and turns beyond that
-during the stance, and not into what stands there, if a map of the floor is given. Nothing else moves a foot, so a planted one
-cannot slide, whatever the root does. The phase runs as fast as speed, turning or feet that stand wrong demand, and rests when
-both feet stand where a standing person's do.
+during the stance, and not into what stands there, if a map of the floor is given. On stairs the root follows a ramp and feet
+go from tread to tread (`steps`). Nothing else moves a foot, so a planted one cannot slide, whatever the root does. The phase
+runs as fast as speed, turning or feet that stand wrong demand, and rests when both feet stand where a standing person's do.
 
 `pose_gait` is a function of one state alone. Joints come from tables by speed and phase, legs from the feet in closed form.
 
@@ -20,10 +20,19 @@ from typing import NamedTuple
 import numpy as np
 
 from h3data.bodies.people.kernels.legs import LegMeasures, lowest, sinking, write_legs
+from h3data.bodies.people.kernels.steps import (
+    beside_steps,
+    on_a_tread,
+    over_steps,
+    tread_length,
+    tread_of,
+    under_foot,
+)
 from h3data.bodies.people.kernels.tuple_math import from_vector, inverse, multiply, nlerp, put, row3, row4, turned
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
+from h3data.scene.floor_heights import height_at, step_at
 from h3data.scene.freespace._sdf import sample_sdf, sdf_gradient
 
 # columns of a state
@@ -83,6 +92,12 @@ STRETCHED = 0.994
 """A leg is stretched to this share of its length: straighter knees would snap."""
 LETS_GO = 0.4
 """Over this share of its swing the pelvis stops minding whether a foot is within reach."""
+CROUCH_M, CROUCH_MPS = 0.06, 0.2
+"""On stairs the pelvis is lower by this much, for the foot below; it gets there at this speed."""
+OVER_BY = 0.8
+"""By this share of a swing between treads the foot is over its place."""
+DRAWS = 0.3
+"""On stairs the pelvis sinks for a swinging foot that comes down on a lower tread from this share of its swing on."""
 EARLY_M, EARLY_SHARE = 0.04, 0.5
 """A foot behind the body that the pelvis would have to sink for by more than this leaves early, if the other one stands, in
 this part of its stance or later."""
@@ -151,6 +166,8 @@ class GaitTables(NamedTuple):
     """Lower corner of its grid, [2] [m]."""
     cell_m: float
     """Side of its cells."""
+    heights: Array
+    """How high the floor is at a place (`h3data.scene.floor_heights`), [K, 10]; [0, 10]: it is level."""
 
 
 @kernel_part()
@@ -263,10 +280,94 @@ def _beside_things(table, state, foot, left, ahead, yaw):
 
 
 @kernel_part()
+def _lands_at(table, k, f, state, foot, left, ahead, gone):
+    """Where in the world a swinging foot will land that lands off the gait by so much to the left and ahead, if the phase is
+    ``gone`` cycles behind the root: (x, z)."""
+    side = table.half_width if foot == 0 else -table.half_width
+    onward = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (1.0 - _own_phase(state[PHASE], foot) - gone)
+    onward += _gait_ahead(table, k, f, state[SPEED], 0.0)
+    x, z, _ = _to_world(state[X], state[Z], state[HEADING], side + left, ahead + onward, 0.0)
+    return x, z
+
+
+@kernel_part()
+def _on_a_tread(table, state, foot, x, z, heading, came_from):
+    """A place of a foot in the world, moved along the stairs so that all of it is on one tread, and a heel or toe at most a
+    little beyond its edge."""
+    feet = table.legs.feet[foot]
+    return on_a_tread(table.heights, x, z, heading, feet[0, 2], feet[2, 2], came_from)
+
+
+@kernel_part()
+def _came_from(table, state, foot):
+    """Number of the tread that a foot stands on or has left."""
+    at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
+    place = state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2]
+    return tread_of(table.heights, place[0], place[1], place[2], feet[0, 2], feet[2, 2])
+
+
+@kernel_part()
+def _stand_place(table, state, foot):
+    """Where a foot of a standing person belongs, in the body frame: (left, ahead)."""
+    side = table.half_width if foot == 0 else -table.half_width
+    if table.heights.shape[0] == 0:
+        return side, table.middle[0]
+    x, z, heading = _to_world(state[X], state[Z], state[HEADING], side, table.middle[0], 0.0)
+    x, z = _on_a_tread(table, state, foot, x, z, heading, -1)
+    left, ahead, _ = _to_body(state[X], state[Z], state[HEADING], x, z, heading)
+    return left, ahead
+
+
+@kernel_part()
+def _above_root(table, k, f, state, foot, along):
+    """How far above the root's floor that of a foot is, or the path over steps of one that swings, its ankle ``along`` ahead of
+    its place [m]."""
+    if table.heights.shape[0] == 0:
+        return 0.0
+    at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
+    root = height_at(table.heights, 0.0, state[X], state[Z])
+    heel, toe = feet[0, 2], feet[2, 2]
+    low = under_foot(table.heights, state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2], heel, toe)
+    if state[at + AIR] == 0.0:
+        return low - root
+    lands_x, lands_z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], 0.0)
+    high = under_foot(table.heights, lands_x, lands_z, state[HEADING] + state[at + LANDS_AT + 2], heel, toe)
+    if low == high and step_at(table.heights, lands_x, lands_z)[0] < 0:
+        return low - root
+    share = min(max((state[at + SHARE] - state[at + SINCE]) / max(1.0 - state[at + SINCE], 1e-6), 0.0), 1.0)
+    left, ahead, yaw, _ = _swing_place(table, k, f, state, foot)
+    x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
+    return over_steps(table.heights, x, z, heading, heel + along, toe + along, low, high, share) - root
+
+
+@kernel_part()
+def _steps_off(table, state, foot):
+    """Whether a swinging foot has left a place in a stairwell: then it goes straight from there to where it will land."""
+    at = FOOT + foot * FOOT_COLUMNS
+    return table.heights.shape[0] > 0 and step_at(table.heights, state[at + PLANT], state[at + PLANT + 1])[0] >= 0
+
+
+@kernel_part()
+def _stair_line(table, k, f, state, foot, done, gone):
+    """A foot on its path between two treads, of which it has gone the share ``done``: left, ahead, yaw in the body frame, and
+    that share. ``gone``: as of `_lands_at`."""
+    at = FOOT + foot * FOOT_COLUMNS
+    lands_x, lands_z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], gone)
+    x = state[at + PLANT] + done * (lands_x - state[at + PLANT])
+    z = state[at + PLANT + 1] + done * (lands_z - state[at + PLANT + 1])
+    turn = _wrapped(state[HEADING] + state[at + LANDS_AT + 2] - state[at + PLANT + 2])
+    left, ahead, yaw = _to_body(state[X], state[Z], state[HEADING], x, z, state[at + PLANT + 2] + done * turn)
+    return left, ahead, yaw, done
+
+
+@kernel_part()
 def _swing_line(table, k, f, state, foot, share):
     """As `_swing_place`, at a share of the swing, where nothing stands in the way."""
     at = FOOT + foot * FOOT_COLUMNS
     since = state[at + SINCE]
+    if _steps_off(table, state, foot):
+        part = min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0)
+        return _stair_line(table, k, f, state, foot, _eased(min(part / OVER_BY, 1.0)), 0.0)
     done = _eased(min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0))
     side = table.half_width if foot == 0 else -table.half_width
     left = side + (1 - done) * state[at + LEFT_AT] + done * state[at + LANDS_AT]
@@ -347,6 +448,7 @@ def _ankle(table, k, f, state, foot):
     left, ahead, yaw = _foot_place(table, k, f, state, foot)
     pitch, bend, along, up = _shape(table, k, f, state, foot)
     c, s = math.cos(yaw), math.sin(yaw)
+    up += _above_root(table, k, f, state, foot, along)
     return (left + s * along, up, ahead + c * along), pitch, bend, yaw
 
 
@@ -361,9 +463,11 @@ def _keep_shape(table, k, f, state, foot, shape):
 
 
 @kernel_part()
-def _plant(state, foot, place):
+def _plant(table, state, foot, place, steps):
     at = FOOT + foot * FOOT_COLUMNS
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], place[0], place[1], place[2])
+    if table.heights.shape[0]:
+        x, z = _on_a_tread(table, state, foot, x, z, heading, _came_from(table, state, foot) if steps else -1)
     state[at + AIR] = 0.0
     state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2] = x, z, heading
 
@@ -392,7 +496,7 @@ def stand_at(table, state, x, z, heading):
     state[X], state[Z], state[HEADING] = x, z, heading
     for foot in range(2):
         side = table.half_width if foot == 0 else -table.half_width
-        _plant(state, foot, (side, table.middle[0], 0.0))
+        _plant(table, state, foot, (side, table.middle[0], 0.0), False)
     k, f = _row(table, 0.0)  # not the constants 0 and 0.0, for which numba would compile everything a second time
     _settle_pelvis(table, k, f, state, 0.0)
 
@@ -406,8 +510,8 @@ def is_settled(table, state):
         if state[at + AIR] > 0.0:
             return False
         left, ahead, yaw = _foot_place(table, k, f, state, foot)
-        side = table.half_width if foot == 0 else -table.half_width
-        if math.hypot(left - side, ahead - table.middle[0]) > SETTLED_M or abs(yaw) > SETTLED_RAD:
+        side, middle = _stand_place(table, state, foot)
+        if math.hypot(left - side, ahead - middle) > SETTLED_M or abs(yaw) > SETTLED_RAD:
             return False
     return True
 
@@ -474,7 +578,10 @@ def step_gait(table, state, x, z, heading, dt):
     state[TURN] += TURN_SHARE * (turned_by / dt - state[TURN])
     gain = AHEAD_ACCELERATION * dt
     state[AHEAD] += min(max(velocity - state[AHEAD], -gain), gain)
-    _change_speed(table, state, velocity, ACCELERATION * dt)
+    climbs = table.heights.shape[0] > 0 and beside_steps(table.heights, x, z)
+    most = _climbing_speed(table) if climbs else 0.0
+    gait = min(max(velocity, -most), most) if climbs else velocity
+    _change_speed(table, state, gait, ACCELERATION * dt)
     slow = STYLE_ACCELERATION * dt
     state[STYLE] += min(max(state[SPEED] - state[STYLE], -slow), slow)
     if rests and abs(state[TURN]) < 0.02:
@@ -489,10 +596,14 @@ def step_gait(table, state, x, z, heading, dt):
     else:
         state[IDLE] = max(state[IDLE] - IDLE_OUT * dt, 0.0)
         rate = abs(state[SPEED]) / _at(table.travel, k, f) if k > 0 else table.cadence[0]
+        if (
+            climbs and abs(gait) == most
+        ):  # steps are as long as the stairs have them, so their number depends on the speed
+            rate = abs(velocity) / max(_at(table.travel, k, f), 0.2)
         rate = max(rate, CYCLES_PER_RAD * abs(state[TURN]))
         rate = max(rate, SETTLE_HZ) if velocity == 0.0 else rate
         flies = state[FOOT + AIR] + state[FOOT + FOOT_COLUMNS + AIR]
-        if flies == 1.0:  # a foot that is left behind needs the other one soon
+        if flies == 1.0 and not climbs:  # a foot that is left behind needs the other one soon
             behind = 0 if state[FOOT + AIR] == 0.0 else 1
             rate *= 1 + min(max(_lacks(table, k, f, state, behind) - 0.01, 0.0) / 0.04, 1.0)
         if stands and state[FOOT + SHARE] == 0.0 and state[FOOT + FOOT_COLUMNS + SHARE] == 0.0:
@@ -501,6 +612,17 @@ def step_gait(table, state, x, z, heading, dt):
         _advance(table, k, f, state, ahead, rate, rests)
         _show(state, ahead)
     _settle_pelvis(table, k, f, state, dt)
+
+
+@kernel_part()
+def _climbing_speed(table):
+    """Speed of the gait whose steps are one tread long [m/s]."""
+    length = 2 * tread_length(table.heights)
+    k = 0
+    while k < len(table.speeds) - 2 and table.travel[k + 1] < length:
+        k += 1
+    share = (length - table.travel[k]) / (table.travel[k + 1] - table.travel[k])
+    return table.speeds[k] + share * (table.speeds[k + 1] - table.speeds[k])
 
 
 @kernel_part()
@@ -564,13 +686,19 @@ def _advance(table, k, f, state, ahead, rate, rests):
         else:
             state[at + SHARE] += (1 - state[at + SHARE]) * min(ahead / max(1.0 - own, 1e-9), 1.0)
         if state[at + AIR] > 0.0:
-            _aim(table, k, f, state, foot, span)
+            _aim(table, k, f, state, foot, span, ahead)
             if after >= 1.0:
                 state[at + SHARE] = 1.0
                 left, onward, yaw, _ = _swing_place(table, k, f, state, foot)
-                past = _gait_ahead(table, k, f, state[SPEED], after - 1.0) - _gait_ahead(table, k, f, state[SPEED], 0.0)
+                past = 0.0
+                if _steps_off(table, state, foot):
+                    left, onward, yaw, _ = _stair_line(table, k, f, state, foot, 1.0, ahead)
+                else:
+                    past = _gait_ahead(table, k, f, state[SPEED], after - 1.0) - _gait_ahead(
+                        table, k, f, state[SPEED], 0.0
+                    )
                 shape = _shape(table, k, f, state, foot)
-                _plant(state, foot, (left, onward + past, yaw))
+                _plant(table, state, foot, (left, onward + past, yaw), True)
                 landed, shapes = foot, shape
     state[PHASE] = (state[PHASE] + ahead) % 1.0
     if rests and state[FOOT + AIR] > 0.0 and state[FOOT + FOOT_COLUMNS + AIR] > 0.0:
@@ -578,7 +706,7 @@ def _advance(table, k, f, state, ahead, rate, rests):
         landed = 0 if state[FOOT + SHARE] >= state[FOOT + FOOT_COLUMNS + SHARE] else 1
         left, onward, yaw, _ = _swing_place(table, k, f, state, landed)
         shapes = _shape(table, k, f, state, landed)
-        _plant(state, landed, (left, onward, yaw))
+        _plant(table, state, landed, (left, onward, yaw), True)
         state[FOOT + landed * FOOT_COLUMNS + SHARE] = 1.0
         state[PHASE] = 0.5 * landed
     if landed >= 0:
@@ -586,13 +714,20 @@ def _advance(table, k, f, state, ahead, rate, rests):
 
 
 @kernel_part()
-def _aim(table, k, f, state, foot, span):
+def _aim(table, k, f, state, foot, span, gone):
     """Moves the place where a swinging foot will land: half of what the root does in its stance beyond the gait, ahead."""
     at = FOOT + foot * FOOT_COLUMNS
     half = span / 2
     yaw = min(max(state[TURN] * half, -TWIST_RAD), TWIST_RAD)
     ahead = min(max((state[AHEAD] - state[SPEED]) * half, -OFF_M), OFF_M)
     left = min(max(state[SPEED] * state[TURN] * half * half / 2, -0.12), 0.12)
+    if table.heights.shape[0]:
+        if beside_steps(table.heights, state[X], state[Z]):
+            ahead = 0.0
+        x, z = _lands_at(table, k, f, state, foot, left, ahead, gone)
+        to_x, to_z = _on_a_tread(table, state, foot, x, z, state[HEADING] + yaw, _came_from(table, state, foot))
+        c, s = math.cos(state[HEADING]), math.sin(state[HEADING])
+        left, ahead = left - s * (to_x - x) - c * (to_z - z), ahead + c * (to_x - x) - s * (to_z - z)
     for i, aim, most in ((0, left, LANDING_M), (1, ahead, LANDING_M), (2, yaw, LANDING_RAD)):
         step = aim - state[at + LANDS_AT + i]
         state[at + LANDS_AT + i] += min(max(step, -most), most)
@@ -658,13 +793,38 @@ def _lacks(table, k, f, state, foot):
 
 
 @kernel_part()
+def _will_lack(table, k, f, state, foot):
+    """As `_lacks`, of a swinging foot that has come down where it will, flat, while the pelvis stays where it is."""
+    place, turn = _pelvis(table, state), _pelvis_turn(table, state)
+    at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
+    x, z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], 0.0)
+    heading = state[HEADING] + state[at + LANDS_AT + 2]
+    gone = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (1.0 - _own_phase(state[PHASE], foot))
+    left, ahead, _ = _to_body(state[X], state[Z], state[HEADING], x, z, heading)
+    root_x, root_z, _ = _to_world(state[X], state[Z], state[HEADING], 0.0, gone, 0.0)
+    floor = under_foot(table.heights, x, z, heading, feet[0, 2], feet[2, 2])
+    up = floor - height_at(table.heights, 0.0, root_x, root_z) + table.ankle_height
+    hip = turned(turn, row3(table.legs.hips, foot))
+    aside, onward = place[0] + hip[0] - left, place[2] + hip[2] - (ahead - gone)
+    longest = STRETCHED * (table.legs.thigh + table.legs.shank)
+    room = math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
+    return place[1] + hip[1] - up - room
+
+
+@kernel_part()
 def _settle_pelvis(table, k, f, state, dt):
     """How far the pelvis must be below that of the gait for the planted feet: down at once, up at leisure."""
-    sink = 0.0
+    sink, climbs = 0.0, table.heights.shape[0] > 0
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
         done = min((state[at + SHARE] - state[at + SINCE]) / LETS_GO, 1.0) if state[at + AIR] > 0.0 else 0.0
         sink = max(sink, (1 - _eased(done)) * _lacks(table, k, f, state, foot))
+        if climbs and state[at + AIR] > 0.0 and _steps_off(table, state, foot):
+            # one that will come down on a lower tread draws the pelvis down in time
+            share = min(max((state[at + SHARE] - DRAWS) / (1 - DRAWS), 0.0), 1.0)
+            sink = max(sink, _eased(share) * _will_lack(table, k, f, state, foot))
+    if climbs and beside_steps(table.heights, state[X], state[Z]):
+        sink = max(sink, min(CROUCH_M, state[SINK] + CROUCH_MPS * dt))
     state[SINK] = max(sink, state[SINK] - RISE_MPS * dt)
 
 

@@ -1,0 +1,124 @@
+"""Feet on stairs, compiled: where on a tread a foot stands, and the path of a swinging foot over the noses of the steps.
+
+Places along a flight are in metres upwards from the lower end of its ramp; tread n is around n goings, and 0 is the landing.
+Heel and toe tip of a foot are ``heel`` (negative) and ``toe`` [m] ahead of its ankle.
+"""
+
+from __future__ import annotations
+
+import math
+
+from h3data.kernels import kernel_part
+from h3data.scene.floor_heights import AXIS, END, START, STEPS, nose_at, step_at, tread_at
+
+RISER_M = 0.025
+"""A foot keeps so far from the riser in front of or behind it."""
+OVERHANG_M = 0.03
+"""Heel or toe stand out over the edge of a tread by no more than this: many feet are nearly as long as a tread."""
+USUAL = 0.62
+"""People go on two treads further with each foot, also where the middle of the foot would be nearer to another, by this share
+of a tread at most."""
+DOWN_NEARER = 0.3
+"""On the way down feet land nearer to the body by this share of a tread: a foot far ahead and below is out of reach."""
+BESIDE_M = 0.2
+"""People climb from this far before the first riser on."""
+UP_SHARE, DOWN_SHARE = 0.2, 0.25
+"""Shares of a swing within which the foot gets over the noses, and comes down from there."""
+EDGE_M = 0.015
+"""A swinging foot minds what is so far beyond its heel and toe tip: pitch and bend move them by some millimetres."""
+CLEAR_M = 0.02
+"""Heel and toe tip pass over the noses at this height."""
+
+
+@kernel_part()
+def tread_length(heights):
+    """Going of the first flight of stairs [m]."""
+    for k in range(len(heights)):
+        if heights[k, STEPS] > 0.0:
+            return abs(heights[k, END] - heights[k, START]) / heights[k, STEPS]
+    return 1.0
+
+
+@kernel_part()
+def beside_steps(heights, x, z):
+    """Whether a place is on a flight of stairs or right before it."""
+    k, _, place = step_at(heights, x, z)
+    if k < 0:
+        return False
+    near = BESIDE_M * heights[k, STEPS] / abs(heights[k, END] - heights[k, START])
+    return -near < place - 0.5 and place + 0.5 < heights[k, STEPS] + near
+
+
+@kernel_part()
+def _upwards(heights, k, heading):
+    """Cosine of the angle between a heading and the direction in which a flight rises."""
+    sign = 1.0 if heights[k, END] > heights[k, START] else -1.0
+    return sign * (math.cos(heading) if heights[k, AXIS] == 0.0 else -math.sin(heading))
+
+
+@kernel_part()
+def _middle(x, z, heading, heel, toe):
+    half = (heel + toe) / 2
+    return x + math.cos(heading) * half, z - math.sin(heading) * half
+
+
+@kernel_part()
+def tread_of(heights, x, z, heading, heel, toe):
+    """Number of the tread on which a foot stands whose ankle is at (x, z)."""
+    middle_x, middle_z = _middle(x, z, heading, heel, toe)
+    return step_at(heights, middle_x, middle_z)[1]
+
+
+@kernel_part()
+def under_foot(heights, x, z, heading, heel, toe):
+    """Height [m] of the tread or floor on which a foot stands whose ankle is at (x, z)."""
+    middle_x, middle_z = _middle(x, z, heading, heel, toe)
+    return tread_at(heights, 0.0, middle_x, middle_z)
+
+
+@kernel_part()
+def on_a_tread(heights, x, z, heading, heel, toe, came_from):
+    """A place (x, z) of an ankle, moved along the flight as little as puts the foot on one tread; off stairs as it is.
+
+    ``came_from`` is the tread on which the foot stood before, -1 if it does not matter.
+    """
+    middle_x, middle_z = _middle(x, z, heading, heel, toe)
+    k, tread, place = step_at(heights, middle_x, middle_z)
+    if k < 0:
+        return x, z
+    last = int(heights[k, STEPS])
+    going = abs(heights[k, END] - heights[k, START]) / last
+    if came_from >= 0:
+        down = place < came_from
+        near = place + DOWN_NEARER if down else place
+        tread = int(min(max(math.floor(near + 0.5), 0.0), last))
+        usual = came_from - 2 if down else came_from + 2
+        if 0 <= usual <= last and abs(near - usual) < USUAL:
+            tread = usual
+    cosine = _upwards(heights, k, heading)
+    high = abs(cosine) * (toe - heel) / 2
+    low = -high
+    at = place * going
+    to = at
+    if tread > 0:
+        to = max(to, (tread - 0.5) * going - OVERHANG_M - low)
+    if tread < last:
+        to = min(to, (tread + 0.5) * going - RISER_M - high)
+    move = (to - at) * (1.0 if heights[k, END] > heights[k, START] else -1.0)
+    return (x + move, z) if heights[k, AXIS] == 0.0 else (x, z + move)
+
+
+@kernel_part()
+def over_steps(heights, x, z, heading, heel, toe, low, high, share):
+    """Height [m] of the floor under a swinging foot that is at (x, z) and has got so far, from a floor at ``low`` to one at
+    ``high``: never below what is under heel and toe, and as high as the noses there in between."""
+    line = low + (high - low) * share * share * (3 - 2 * share)
+    c, s = math.cos(heading), math.sin(heading)
+    under, nose = line, line
+    for at in (heel, toe):
+        edge = at + math.copysign(EDGE_M, at)
+        under = max(under, tread_at(heights, 0.0, x + c * edge, z - s * edge))
+        nose = max(nose, nose_at(heights, 0.0, x + c * at, z - s * at) + CLEAR_M)
+    up, down = min(share / UP_SHARE, 1.0), min((1.0 - share) / DOWN_SHARE, 1.0)
+    over = up * up * (3 - 2 * up) * down * down * (3 - 2 * down)
+    return max(line + over * (nose - line), under)
