@@ -181,10 +181,13 @@ ROBOT_POLICIES: dict[str, Callable[[], HighLevelPolicy]] = {
 PARTNERS = (*POPULATIONS, *PLANS)
 
 
-def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
-    """A fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
+def robot_policy(name: str, objects: int = 2, *, body: str = "") -> HighLevelPolicy:
+    """A fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists.
+
+    ``body`` is the robot's, where somebody says: trained policies drive the one that they were trained with.
+    """
     if is_learned(name):
-        return learned_chooser(name, objects, robot=True)
+        return learned_chooser(name, objects, robot=True, body=body)
     if name not in ROBOT_POLICIES:
         near = did_you_mean(name, ROBOT_POLICIES)
         raise InputError(

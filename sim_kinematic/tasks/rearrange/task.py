@@ -181,7 +181,7 @@ class Rearrange(Task):
         if plans and not (kind == "robot" and name in ROBOT_POLICIES):
             policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
         else:
-            policy, plan = robot_policy(name, objects), ""
+            policy, plan = robot_policy(name, objects, body=episode.roster[number].model), ""
         return AssignedPolicy(policy, stamped(name), kind, plan)
 
     def check_policy(self, kind: str, name: str, spec: Any) -> None:

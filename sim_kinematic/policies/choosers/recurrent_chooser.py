@@ -1,0 +1,99 @@
+"""Plays a `ChooserNetwork`: what may be chosen, when to think again, and the best of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError
+from sim_kinematic.agents.skills import Action, choices
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, ChooserNetwork, Floats, encoded
+from sim_kinematic.policies.rearrange_observations import observe
+from sim_kinematic.policies.views import RearrangeView
+
+CLOSE_STEPS = 15
+"""After so many steps a running walk is thought over while the other agent is close."""
+
+
+class RecurrentChooser:
+    """Chooses the action with the highest score among those that are `allowed`; the recurrent state is its own, so there is one
+    for each episode.
+
+    On its way it thinks again every second, twice a second while the other agent is close, and at once when the other has
+    taken what it is going for. It goes on by choosing the same.
+    """
+
+    def __init__(self, network: ChooserNetwork, objects: int = 2, *, robot: bool = True, body: str = "") -> None:
+        """
+        Args:
+            network: The policy.
+            objects: Of the task.
+            robot: Whether a robot is played, or a person.
+            body: Of the robot; empty where nobody says.
+
+        Raises:
+            FormatError: the network is for another task, another number of objects, the other agent or another robot.
+        """
+        card, agent = network.card, "robot" if robot else "human"
+        if card.task != "rearrange":
+            raise FormatError(f"Expected weights for the task rearrange, these are for {card.task!r}.")
+        if card.agent != agent:
+            raise FormatError(f"Expected weights for a {agent}, these are for a {card.agent}.")
+        if card.objects != objects:
+            raise FormatError(f"These weights know {card.objects} objects, the episode has {objects}.")
+        if robot and body and body != card.robot:
+            raise FormatError(f"These weights drive the robot {card.robot}, the episode has {body}.")
+        self.network = network
+        self.choices = choices(objects, robot=robot)
+        self.state = network.start()
+        self._thought = 0
+
+    def act(self, view: RearrangeView) -> Action:
+        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""
+        shown = observe(view, OBSERVATIONS)
+        each, rest = encoded(shown, agent=self.network.card.agent, objects=self.network.card.objects)
+        scores, state = self.network(each, rest, self.state)
+        number = self.choose(view, each, rest, np.where(allowed(view, self.choices), scores, -np.inf))
+        self.state, self._thought = state, view.step
+        return self.choices[number]
+
+    def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
+        """The number of a choice, given the inputs of the network and its scores, minus infinity for what is not allowed."""
+        return int(np.argmax(scores))
+
+    def interrupts(self, view: RearrangeView) -> str:
+        """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""
+        action = view.action
+        if action is None or action.skill not in ("nav_to_object", "nav_to_goal"):
+            return ""
+        if action.skill == "nav_to_object" and view.held_by[action.target] not in (NOBODY, view.agent):
+            return "object_taken"
+        since = view.step - self._thought
+        if view.close and since >= CLOSE_STEPS:
+            return "agents_close"
+        return "replanned" if since >= self.network.card.hold else ""
+
+
+def allowed(view: RearrangeView, known: Sequence[Action]) -> NDArray[np.bool_]:
+    """Which choices make sense to try, [C]: to go for what lies about and is not at its goal, with an empty hand; to go to the
+    goal of what the hand holds; to pick and to place where one has just arrived for that, and what has been begun; what has no
+    object always."""
+    held, empty = view.held_by, not (view.held_by == view.agent).any()
+    free = (held == NOBODY) & ~view.at_goal
+    done = view.action if view.last is not None and view.last.outcome == "done" else None
+    begun = view.action if view.last is not None and view.last.outcome == "aborted" else None
+    found = np.ones(len(known), np.bool_)
+    for number, (skill, k, *_) in enumerate(known):
+        if skill in ("nav_to_object", "pick"):
+            found[number] = empty and free[k]
+        elif skill in ("nav_to_goal", "place"):
+            found[number] = held[k] == view.agent
+        if skill in ("pick", "place"):
+            came = "nav_to_object" if skill == "pick" else "nav_to_goal"
+            arrived = done is not None and (done.skill, done.target) == (came, k)
+            going_on = begun is not None and (begun.skill, begun.target) == (skill, k)
+            found[number] &= arrived or going_on
+    return found
