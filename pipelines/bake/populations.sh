@@ -17,12 +17,14 @@ spare_s=12
 minutes=${MINUTES:-$(awk "BEGIN { print ($seconds - $spare_s) / 60 }")}
 call=$(awk "BEGIN { print ($seconds - $spare_s) / 60 }")
 episodes=${EPISODES:-$space/episodes.json.gz}
+[ -f "$out/episodes.json.gz" ] && [ -z "${EPISODES:-}" ] && episodes=$out/episodes.json.gz
 export PYTHONUNBUFFERED=1 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 mkdir -p "$out" "$space"
 echo "$count runs, $workers workers each, $cores cores, $seconds s"
 
 name() { echo "${1/:/.}"; }
 keep() {
+    [ -f "$episodes" ] && [ ! -f "$out/episodes.json.gz" ] && cp "$episodes" "$out/episodes.json.gz"
     for run in $runs; do
         local at=$space/$(name "$run")
         for file in "$at"/*.npz "$at"/curve.parquet "$at"/checkpoint.pt; do

@@ -86,8 +86,8 @@ class Train:
     """Steps of 1/30 s for which an action is held (default: 3)."""
     robot: str | None = None
     """Body of the robot (default: quad_arm)."""
-    walk: Literal["natural", "paper"] | None = None
-    """How people walk, as --human-walk of h3data generate (default: natural)."""
+    walk: Literal["natural", "paper", "both"] | None = None
+    """How people walk, as --human-walk of h3data generate (default: natural; rearrange both, half of the episodes each)."""
     gpus: int = 1
     """Processes that train together, one for each GPU, each with its share of the worlds; on the CPU as many processes. In
     processes that torchrun starts, as many as there are."""

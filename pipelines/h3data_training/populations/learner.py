@@ -18,6 +18,7 @@ from h3data_training.populations.settings import ROBOT, PopulationSettings
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.policies.choosers.chooser_network import KIND, OBSERVATIONS, ChooserNetwork
 from sim_kinematic.policies.pictured import PolicyCard
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
 
 class Plan(NamedTuple):
@@ -25,12 +26,15 @@ class Plan(NamedTuple):
 
     rate: float
     entropy: float
+    acts: bool = True
+    """Whether the actor learns, or only the critic."""
 
 
-def plan_at(settings: PopulationSettings, share: float) -> Plan:
-    """At a share of the run, 0..1."""
+def plan_at(settings: PopulationSettings, share: float, update: int) -> Plan:
+    """At a share of the run, 0..1, before update number ``update``."""
     s = settings
-    return Plan(s.rate * (1 - (1 - s.rate_end) * share), s.entropy * (1 - (1 - s.entropy_end) * share))
+    rate, entropy = s.rate * (1 - (1 - s.rate_end) * share), s.entropy * (1 - (1 - s.entropy_end) * share)
+    return Plan(rate, entropy, update >= s.critic_updates)
 
 
 class ChooserLearner:
@@ -39,7 +43,7 @@ class ChooserLearner:
     def __init__(self, settings: PopulationSettings, name: str, *, seed: int) -> None:
         self.settings, self.name, self.seed = settings, name, seed
         self.agent = ROBOT if name == ROBOT else "human"
-        self.objects = settings.spec().objects
+        self.objects = RearrangeSpec.objects
         torch.manual_seed(episode_seed(seed, settings.learners.index(name)))  # initial weights
         self.net = Chooser(settings, agent=self.agent, objects=self.objects)
         self.optimizer = torch.optim.Adam(self.net.parameters(), settings.rate, eps=1e-5)
@@ -100,7 +104,9 @@ class ChooserLearner:
         ratio, gain = moved.exp(), x["advantage"]
         worth = torch.minimum(ratio * gain, ratio.clamp(1 - s.clip, 1 + s.clip) * gain)
         wrong = ((net.worth(x["told"]).squeeze(-1) - x["target"]).square() * valid).sum() / total
-        loss = wrong - ((worth + plan.entropy * entropy) * valid).sum() / total
+        loss = wrong
+        if plan.acts:
+            loss = wrong - ((worth + plan.entropy * entropy) * valid).sum() / total
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         nn.utils.clip_grad_norm_(net.parameters(), s.gradient_norm)

@@ -19,10 +19,10 @@ from h3data.files import part_file
 from h3data.habitat.episodes.stored_rearrangements import StoredGoal
 from h3data.habitat.scene_names import named_scenes
 from h3data.progress import progress
-from h3data_training.populations.settings import PopulationSettings
+from h3data_training.populations.settings import LONGEST, PopulationSettings, rules_of
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.randomness import episode_seed
-from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.storage import goal_record, target_of
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.social_nav.episode import Starts
@@ -39,6 +39,8 @@ class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):
     """One episode."""
 
     home: str
+    walk: str
+    """How the person walks."""
     seed: int
     starts: list[list[float]]
     """``(x, z, heading)`` of robot and person."""
@@ -57,7 +59,7 @@ def drawn_by(settings: PopulationSettings) -> dict[str, Any]:
     """The settings that decide which episodes there are."""
     return {
         "scenes": settings.scenes, "episodes_per_home": settings.episodes_per_home, "robot": settings.robot,
-        "human": settings.human, "walk": settings.walk, "max_steps": settings.spec().max_steps,
+        "human": settings.human, "walk": settings.walk,
     }  # fmt: skip
 
 
@@ -76,7 +78,7 @@ def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Po
         return pool
     try:
         pool = msgspec.json.decode(gzip.decompress(file.read_bytes()), type=Pool)
-        fits = pool.format == FORMAT and all(np.shape(e.starts) == (2, 3) for e in pool.entries)
+        fits = pool.format == FORMAT and all(np.shape(e.starts) == (2, 3) and e.walk in LONGEST for e in pool.entries)
     except (OSError, EOFError, zlib.error, ValueError) as fault:  # msgspec's are ValueErrors
         raise FormatError(f"Expected a file of episodes ({FORMAT}), this is none ({fault}). File: {file}") from None
     if not fits or not pool.entries:
@@ -107,24 +109,26 @@ def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
                 add(pool.map(_drawn, reversed(tasks)))
     entries = [entry for k in range(len(names)) for entry in found[k]]
     if not entries:
-        raise SceneError(f"No home of {settings.scenes} has room for an episode of {settings.spec().max_steps} steps.")
+        raise SceneError(f"No home of {settings.scenes} has room for an episode.")
     return Pool(format=FORMAT, drawn_by=drawn_by(settings), entries=entries)
 
 
 def _drawn(task: tuple[PopulationSettings, str, int]) -> tuple[int, list[PoolEntry]]:
     settings, name, number = task
-    home, spec = _home(settings, name), settings.spec()
+    home = _home(name)
     roster = make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
     entries = []
     for index in range(settings.episodes_per_home):
+        walk = settings.walks[index % len(settings.walks)]
         for attempt in range(TRIES):
             seed = episode_seed(episode_seed(SEED, number), index * TRIES + attempt)
             try:
-                episode = Rearrange().sample(home.scene, home.free, seed, spec, roster)
+                episode = Rearrange().sample(home.scene, home.free, seed, rules_of(walk), roster)
             except SceneError:
                 continue  # a home may have room for fewer episodes
             goals = [goal_record(target) for target in episode.targets]
-            entries.append(PoolEntry(home=name, seed=seed, starts=episode.pair_starts.places.tolist(), goals=goals))
+            places = episode.pair_starts.places.tolist()
+            entries.append(PoolEntry(home=name, walk=walk, seed=seed, starts=places, goals=goals))
             break
     return number, entries
 
@@ -142,7 +146,7 @@ def episodes_of(pool: Pool, settings: PopulationSettings) -> list[RearrangeEpiso
     with progress(desc="homes", total=len(names), unit="home", delay=1.0, leave=False) as done:
         for entry in pool.entries:
             if entry.home not in homes:
-                homes[entry.home] = home = _home(settings, entry.home)
+                homes[entry.home] = home = _home(entry.home)
                 home.free.geodesic(
                     *np.array(entry.starts)[:, :2]
                 )  # what is built at first use is then shared by processes
@@ -157,15 +161,14 @@ def _episode(entry: PoolEntry, home: Home, settings: PopulationSettings, roster:
         raise InputError(f"The home {entry.home} has no {sorted(missing)[0]}: the episodes are of another version.")
     places = np.array(entry.starts, np.float64)
     return RearrangeEpisode(
-        scene=home.scene, free=home.free, seed=entry.seed, spec=settings.spec(), roster=roster, starts=places,
+        scene=home.scene, free=home.free, seed=entry.seed, spec=rules_of(entry.walk), roster=roster, starts=places,
         targets=tuple(map(target_of, entry.goals)), pair=(settings.robot, settings.human), pair_starts=Starts.of(places),
     )  # fmt: skip
 
 
-def _home(settings: PopulationSettings, name: str) -> Home:
+def _home(name: str) -> Home:
     (named,) = named_scenes(name)
-    spec = settings.spec()
-    return Home(named.source, spec.agent_radius_m, spec.agent_height_m)
+    return Home(named.source, RearrangeSpec.agent_radius_m, RearrangeSpec.agent_height_m)
 
 
 def pool_order(size: int, seed: int, episode: int) -> int:

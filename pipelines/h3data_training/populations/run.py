@@ -166,7 +166,8 @@ class _Run:
 
     def _update(self, share: float) -> dict[str, float]:
         """Plays the episodes of one update and learns from them; returns a row of the learning curve."""
-        update, start, plan = len(self.curve), time.monotonic(), plan_at(self.settings, share)
+        update, start = len(self.curve), time.monotonic()
+        plan = plan_at(self.settings, share, update)
         played = self.players.play(self._jobs(update))
         playing_s = time.monotonic() - start
         losses: dict[str, dict[str, float]] = {}

@@ -18,8 +18,15 @@ LEARNED = {"learn_single": 1, "learn_pop": 8}
 """Populations whose partners learn, and how many there are (paper section 4.2)."""
 NAMES = ("learn_single", *POPULATIONS, "learn_pop")
 """The paper's populations."""
-PAPER_STEPS = {"paper": 750, "natural": 1500}
+LONGEST = {"paper": 750, "natural": 1500}
 """Length of an episode by how people walk: that of the paper, and ours, whose people walk at 1.3 m/s."""
+BOTH = "both"
+"""People walk like this in one half of the episodes and like that in the other."""
+
+
+def rules_of(walk: str) -> RearrangeSpec:
+    """The rules of episodes in which people walk like this, with the paper's reward."""
+    return RearrangeSpec(max_steps=LONGEST[walk], human=WALKERS[walk])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,10 +39,9 @@ class PopulationSettings:
     """Episodes are drawn once and played again and again, beside other partners: drawing one costs more than playing it."""
     robot: str = "quad_arm"
     human: str = "female_0"
-    walk: str = "natural"
-    """How people walk: ``natural``, or ``paper`` (2.5 m/s)."""
-    max_steps: int = 0
-    """Length of an episode; 0: 1,500 steps, or the paper's 750 where people walk as there."""
+    walk: str = BOTH
+    """How people walk: ``natural``, in episodes of 1,500 steps, ``paper`` (2.5 m/s, 750 steps), or ``both``: each in one half
+    of the episodes, for a robot that plays beside either."""
     think_steps: int = 30
     """A learner on its way thinks again after so many steps."""
 
@@ -47,6 +53,8 @@ class PopulationSettings:
     """Of the other layers."""
     chunk: int = 16
     """Decisions through which a gradient goes back."""
+    critic_updates: int = 2
+    """At first only the critic learns: as long as it knows nothing, what it calls an advantage is noise."""
     epochs: int = 8
     chunks_per_minibatch: int = 12
     kl_most: float = 0.03
@@ -75,22 +83,25 @@ class PopulationSettings:
                 f"Unknown population {self.population!r}.{did_you_mean(self.population, NAMES)} Expected one of: "
                 f"{', '.join(NAMES)}."
             )
-        if self.walk not in WALKERS:
-            raise InputError(f"Unknown walk {self.walk!r}. Expected one of: {', '.join(WALKERS)}.")
+        if self.walk not in (*LONGEST, BOTH):
+            raise InputError(f"Unknown walk {self.walk!r}. Expected one of: {', '.join((*LONGEST, BOTH))}.")
         whole = (
             "episodes_per_home", "think_steps", "episodes", "hidden", "width", "chunk", "epochs", "chunks_per_minibatch",
         )  # fmt: skip
         for name in whole:
             if getattr(self, name) < 1:
                 raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
-        if self.max_steps < 0 or self.horizon <= 1:
-            raise InputError(f"Expected max_steps >= 0 and a horizon above 1, got {self.max_steps} and {self.horizon}.")
+        if self.critic_updates < 0 or self.horizon <= 1:
+            raise InputError(
+                f"Expected critic_updates >= 0 and a horizon above 1, got {self.critic_updates} and {self.horizon}."
+            )
         if self.updates < 0 or not math.isfinite(self.minutes) or self.minutes <= 0:
             raise InputError(f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.")
 
-    def spec(self) -> RearrangeSpec:
-        """The rules, with the paper's reward."""
-        return RearrangeSpec(max_steps=self.max_steps or PAPER_STEPS.get(self.walk, 1500), human=WALKERS[self.walk])
+    @property
+    def walks(self) -> tuple[str, ...]:
+        """Those that take turns in a home."""
+        return tuple(LONGEST) if self.walk == BOTH else (self.walk,)
 
     @property
     def partners(self) -> tuple[str, ...]:
