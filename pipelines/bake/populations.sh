@@ -11,7 +11,7 @@ set -u
 out=$1 seconds=${2:-480}
 space=${SPACE:-/tmp/populations}
 runs=${RUNS:-learn_pop:0 plan_pop_3:0 learn_single:0 plan_pop_1:0 plan_pop_2:0 plan_pop_4:0 learn_single:1 learn_single:2}
-count=$(echo $runs | wc -w) cores=$(nproc)
+count=$(echo $runs | wc -w) cores=$(env -u OMP_NUM_THREADS nproc)
 workers=${WORKERS:-$(((cores * 3 / 2 + count - 1) / count))}
 spare_s=12
 minutes=${MINUTES:-$(awk "BEGIN { print ($seconds - $spare_s) / 60 }")}

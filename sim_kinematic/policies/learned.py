@@ -27,10 +27,16 @@ from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_veloci
 PREFIX = "weights:"
 SHIPPED_IN: Mapping[str, Mapping[str, str]] = {
     "social_nav": {"end_to_end": "policies/end_to_end.npz"},
-    "rearrange": {},
+    "rearrange": {name: f"policies/{name}.npz" for name in ("learn_single", "plan_pop_3_robot", "learn_pop")},
 }
-"""Trained policies that come with the package, by task and name (docs/training.md)."""
-SHIPPED: Mapping[str, str] = {name: file for of_task in SHIPPED_IN.values() for name, file in of_task.items()}
+"""Trained robots that come with the package, by task and name (docs/training.md, docs/populations.md)."""
+SHIPPED_PARTNERS: Mapping[str, str] = {
+    f"{population}_partner_{k}": f"policies/{population}_partner_{k}.npz"
+    for population in ("learn_single", "learn_pop")
+    for k in range(3)
+}
+"""Trained people of rearrangement: of three runs of Learn-Single, and three of the eight of Learn-Pop."""
+SHIPPED: Mapping[str, str] = {**SHIPPED_IN["social_nav"], **SHIPPED_IN["rearrange"], **SHIPPED_PARTNERS}
 """All of them."""
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 
@@ -79,7 +85,7 @@ def network_of(policy: str) -> AnyNetwork:
     return network
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _loaded(path: Path, changed_ns: int) -> AnyNetwork:
     del changed_ns  # a file that has changed is read again
     found, data = files.read_arrays(path)

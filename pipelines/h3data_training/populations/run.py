@@ -126,10 +126,12 @@ class _Run:
     def go(self, stop: Stop, *, stop_after: float | None, checkpoint_s: float) -> Result:
         limit = float("inf") if stop_after is None else stop_after * 60 - SPARE_S / 2
         saved = said = time.monotonic()
-        while (self.share < 1 or not self.curve) and self.elapsed() < limit and not stop.is_set():
+        took = 0.0  # by the last update: one that would not end in time is not begun
+        while (self.share < 1 or not self.curve) and self.elapsed() + took < limit and not stop.is_set():
             if time.monotonic() - saved > checkpoint_s and self.curve:
                 self._save(is_last=False)
                 saved = time.monotonic()
+            start = time.monotonic()
             row = self._update(self.share)
             if not all(map(isfinite, row.values())):
                 raise InputError(
@@ -138,6 +140,7 @@ class _Run:
                 )
             self.curve.append(row)
             now = time.monotonic()
+            took = now - start
             if now - said > 10 or len(self.curve) == 1:
                 said = now
                 self.say(self._line())
