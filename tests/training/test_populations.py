@@ -303,6 +303,7 @@ def test_a_run_leaves_policies_that_play(whole: Path, episodes: Sequence[Rearran
         named = {"robot": f"weights:{whole / POLICY}", "human": f"weights:{whole / 'partner_0.npz'}"}
         play = task.play(episodes[1], task.assign(episodes[1], named))
         run(play)
+        play.finish()
         plays.append([(s.agent, s.name, s.target, s.end_step) for s in play.spans])
     assert plays[0] == plays[1]
     assert plays[0]
