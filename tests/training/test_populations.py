@@ -359,15 +359,15 @@ def test_a_lost_process_costs_nothing(
     episodes: Sequence[RearrangeEpisode], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = [(p.steps, p.decisions[ROBOT].chosen.tolist()) for p in Players(episodes, 1).play(jobs(4))]
-    once, tried = tmp_path / "once", playing._tried
+    once, play_episode = tmp_path / "once", playing.play_episode
 
-    def dies_once(job: Job) -> Any:
+    def dies_once(job: Job, episode: RearrangeEpisode) -> Any:  # forked processes have it too
         if job.number == 2 and not once.exists():
             once.touch()
             os.kill(os.getpid(), signal.SIGKILL)
-        return tried(job)
+        return play_episode(job, episode)
 
-    monkeypatch.setattr(playing, "_tried", dies_once)
+    monkeypatch.setattr(playing, "play_episode", dies_once)
     said: list[str] = []
     players = Players(episodes, 2, say=said.append)
     found = [(p.steps, p.decisions[ROBOT].chosen.tolist()) for p in players.play(jobs(4))]
@@ -380,15 +380,11 @@ def test_a_lost_process_costs_nothing(
 def test_processes_that_die_again_and_again_end_the_run(
     episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(playing, "_tried", _dies)
+    monkeypatch.setattr(playing, "play_episode", lambda job, episode: os.kill(os.getpid(), signal.SIGKILL))
     players = Players(episodes, 2)
     with pytest.raises(H3DataError, match=r"lost 3 times .* then --resume") as caught:
         players.play(jobs(2))
     assert "\n" not in str(caught.value)
-
-
-def _dies(job: Job) -> Any:
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_an_episode_that_raises_is_left_out(
@@ -458,7 +454,7 @@ def _file(folder: Path, network: ChooserNetwork, *, without: str = "", **changes
     save_pictured(network, path)
     with np.load(path) as file:
         data = {n: file[n] for n in file.files if n != without} | changes
-    np.savez(path, **data)
+    np.savez(path, **data)  # type: ignore[arg-type]
     return path.read_bytes()
 
 

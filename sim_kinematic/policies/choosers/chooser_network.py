@@ -94,10 +94,12 @@ def encoded(shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int) -> t
     for name in OBSERVATIONS:
         encoding = ENCODINGS.get(name)
         own = SKILLS_WITH_OBJECT * objects
-        length = own + rest_count(agent) if encoding is None else encoding.given * (objects if encoding[3] else 1)
-        if np.shape(shown.get(name)) != (length,):
-            raise InputError(f"Expected the observation {name} [{length}], got {list(np.shape(shown.get(name)))}.")
-        seen = np.asarray(shown[name], np.float32)
+        length = (
+            own + rest_count(agent) if encoding is None else encoding.given * (objects if encoding.is_of_objects else 1)
+        )
+        seen = np.asarray(shown.get(name, ()), np.float32)
+        if seen.shape != (length,):
+            raise InputError(f"Expected the observation {name} [{length}], got {list(seen.shape)}.")
         if encoding is None:
             each.append(seen[:own].reshape(SKILLS_WITH_OBJECT, objects).T)
             rest.append(seen[own:])
