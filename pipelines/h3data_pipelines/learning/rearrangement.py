@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from h3data.errors import InputError
 from h3data_pipelines.command import Outcome, claim_folder, counted
-from h3data_pipelines.learning.training import OF_SOCIAL_NAV, Train, say
+from h3data_pipelines.learning.lines import say
 
 if TYPE_CHECKING:
     from h3data_training.populations.settings import PopulationSettings
@@ -21,32 +22,26 @@ STEPS_PER_CPU_S = 900
 STEPS_PER_EPISODE = 600
 
 
-def train_rearrange(command: Train) -> Outcome:
-    """Runs the command for the task rearrange.
+def plan_rearrange(out: Path, settings: PopulationSettings, *, workers: int | None) -> Outcome:
+    """What a run would do, and what it would cost."""
+    data = {"settings": settings.as_dict(), "out": str(out), **_cost(settings, workers)}
+    text = f"{json.dumps(settings.as_dict(), indent=1)}\n{_plan(settings, workers)}\nNothing has been done."
+    return Outcome(text=text, data=data)
+
+
+def train_rearrange(
+    out: Path, settings: PopulationSettings, *, seed: int, workers: int | None, resume: bool, force: bool,
+    stop_after: float | None, episodes_file: Path | None,
+) -> Outcome:  # fmt: skip
+    """Trains in a folder, as `h3data_training.populations.run.train`.
 
     Raises:
-        InputError: an option cannot be, or is one of social_nav.
+        InputError: the folder is not empty, or the disk is full.
     """
-    strangers = [f"--{name.replace('_', '-')}" for name in OF_SOCIAL_NAV if getattr(command, name) is not None]
-    strangers += ["--device"] * (command.device != "cpu") + ["--gpus"] * (command.gpus != 1)
-    if strangers:
-        raise InputError(f"Options of social_nav, not of rearrange, which learns on CPU cores: {', '.join(strangers)}.")
-    if command.workers is not None and command.workers < 1:
-        raise InputError(f"Expected at least 1 worker, got --workers {command.workers}.")
     from h3data_training.populations.run import CHECKPOINT, train
-    from h3data_training.populations.settings import PopulationSettings
 
-    settings = PopulationSettings().changed(
-        population=command.population, minutes=command.minutes, updates=command.updates, scenes=command.scenes,
-        robot=command.robot, walk=command.walk,
-    )  # fmt: skip
-    needed = 2 * CHECKPOINT_BYTES * len(settings.learners)
-    if command.dry_run:
-        data = {"settings": settings.as_dict(), "out": str(command.out), **_cost(settings, command.workers)}
-        text = f"{json.dumps(settings.as_dict(), indent=1)}\n{_plan(settings, command.workers)}\nNothing has been done."
-        return Outcome(text=text, data=data)
-    folder = claim_folder(command.out, force=command.force or command.resume)
-    if command.force:
+    folder, needed = claim_folder(out, force=force or resume), 2 * CHECKPOINT_BYTES * len(settings.learners)
+    if force:
         (folder / CHECKPOINT).unlink(missing_ok=True)
     free = shutil.disk_usage(folder).free
     if free < needed:
@@ -54,8 +49,8 @@ def train_rearrange(command: Train) -> Outcome:
             f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
         )
     result = train(
-        folder, settings, seed=command.seed, workers=command.workers, resume=command.resume,
-        stop_after=command.stop_after, episodes_file=command.episodes_file, say=say,
+        folder, settings, seed=seed, workers=workers, resume=resume, stop_after=stop_after, episodes_file=episodes_file,
+        say=say,
     )  # fmt: skip
     return Outcome(text=_summary(result, settings), data=_data(result), result=result)
 

@@ -4,7 +4,6 @@ populations of partners, on CPU cores."""
 from __future__ import annotations
 
 import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from h3data.errors import InputError
-from h3data.progress import is_quiet
-from h3data.terminal import printable
 from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, claim_folder, counted
+from h3data_pipelines.learning.lines import say
 
 if TYPE_CHECKING:
     from h3data_training.run import Result
@@ -112,9 +110,7 @@ class Train:
         if self.stop_after is not None and not self.stop_after > 0:
             raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
         if self.task == "rearrange":
-            from h3data_pipelines.learning.rearrangement import train_rearrange
-
-            return train_rearrange(self)
+            return self._rearrange()
         if self.task != "social_nav":
             raise InputError(
                 f"Expected the task social_nav or rearrange, got {self.task!r}: policies of other tasks cannot be trained yet."
@@ -153,6 +149,29 @@ class Train:
         )  # fmt: skip
         return Outcome(text=_summary(result), data=_data(result), result=result)
 
+    def _rearrange(self) -> Outcome:
+        strangers = [f"--{name.replace('_', '-')}" for name in OF_SOCIAL_NAV if getattr(self, name) is not None]
+        strangers += ["--device"] * (self.device != "cpu") + ["--gpus"] * (self.gpus != 1)
+        if strangers:
+            raise InputError(
+                f"Options of social_nav, not of rearrange, which learns on CPU cores: {', '.join(strangers)}."
+            )
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.")
+        from h3data_pipelines.learning.rearrangement import plan_rearrange, train_rearrange
+        from h3data_training.populations.settings import PopulationSettings
+
+        settings = PopulationSettings().changed(
+            population=self.population, minutes=self.minutes, updates=self.updates, scenes=self.scenes, robot=self.robot,
+            walk=self.walk,
+        )  # fmt: skip
+        if self.dry_run:
+            return plan_rearrange(self.out, settings, workers=self.workers)
+        return train_rearrange(
+            self.out, settings, seed=self.seed, workers=self.workers, resume=self.resume, force=self.force,
+            stop_after=self.stop_after, episodes_file=self.episodes_file,
+        )  # fmt: skip
+
 
 def _first(name: str) -> PicturedNetwork:
     """The trained policy of a name."""
@@ -163,12 +182,6 @@ def _first(name: str) -> PicturedNetwork:
     if not isinstance(network, PicturedNetwork):
         raise InputError(f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.")
     return network
-
-
-def say(line: str) -> None:
-    if not is_quiet():
-        sys.stderr.write(printable(line) + "\n")
-        sys.stderr.flush()
 
 
 def _cost(settings: Settings) -> dict[str, int]:
