@@ -42,15 +42,15 @@ class LearnedChooser:
         return "agents_close" if view.close and "interrupted" in self.network.observations else ""
 
 
-def learned_chooser(policy: str, objects: int, *, robot: bool, body: str = "") -> LearnedChooser | RecurrentChooser:
-    """What ``weights:FILE`` or the name of a trained policy means; ``body`` is the robot's, where somebody says.
+def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser | RecurrentChooser:
+    """What ``weights:FILE`` or the name of a trained policy means.
 
     Raises:
         InputError: there is no such file, it is none, or does not fit.
     """
     network = network_of(policy)
     if isinstance(network, ChooserNetwork):
-        return RecurrentChooser(network, objects, robot=robot, body=body)
+        return RecurrentChooser(network, objects, robot=robot)
     if not isinstance(network, Network):
         raise FormatError(f"Expected weights for the task {TASK}, these are for {network.task!r}.")
     return LearnedChooser(network, objects, robot=robot)

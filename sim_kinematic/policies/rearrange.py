@@ -183,13 +183,10 @@ ROBOT_POLICIES: dict[str, Callable[[], HighLevelPolicy]] = {
 PARTNERS = (*POPULATIONS, *PLANS)
 
 
-def robot_policy(name: str, objects: int = 2, *, body: str = "") -> HighLevelPolicy:
-    """A fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists.
-
-    ``body`` is the robot's, where somebody says: trained policies drive the one that they were trained with.
-    """
+def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
+    """A fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
     if is_learned(name):
-        return learned_chooser(name, objects, robot=True, body=body)
+        return learned_chooser(name, objects, robot=True)
     if name not in ROBOT_POLICIES:
         there = (*ROBOT_POLICIES, *SHIPPED_IN["rearrange"])
         near = did_you_mean(name, there)

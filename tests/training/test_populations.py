@@ -296,7 +296,7 @@ def test_a_run_leaves_policies_that_play(whole: Path, episodes: Sequence[Rearran
     assert (robot.card.agent, person.card.agent, robot.card.objects) == ("robot", "human", 2)
     assert robot.card.training["population"] == "learn_single"
     assert not same(dict(robot.arrays), dict(chooser().arrays))
-    assert robot_policy(f"weights:{whole / POLICY}", body="quad_arm")
+    assert robot_policy(f"weights:{whole / POLICY}")
     assert partner_policy(f"weights:{whole / 'partner_0.npz'}", 1)
     task, plays = find_task("rearrange"), []
     for _ in range(2):
@@ -429,7 +429,7 @@ def test_files_that_do_not_fit_are_refused(
     with pytest.raises(FormatError, match="for the task social_nav, these are for 'rearrange'"):
         find_task("social_nav").check_policy("robot", f"weights:{robot}", find_task("social_nav").Spec())
     with pytest.raises(FormatError, match="drive the robot quad_arm, the episode has wheeled"):
-        robot_policy(f"weights:{robot}", body="wheeled")
+        RecurrentChooser(chooser()).require_body("wheeled")
     broken = tmp_path / "broken.npz"
     network = chooser()
     for content, message in (

@@ -26,16 +26,15 @@ class RecurrentChooser:
     taken what it is going for. It goes on by choosing the same.
     """
 
-    def __init__(self, network: ChooserNetwork, objects: int = 2, *, robot: bool = True, body: str = "") -> None:
+    def __init__(self, network: ChooserNetwork, objects: int = 2, *, robot: bool = True) -> None:
         """
         Args:
             network: The policy.
             objects: Of the task.
             robot: Whether a robot is played, or a person.
-            body: Of the robot; empty where nobody says.
 
         Raises:
-            FormatError: the network is for another task, another number of objects, the other agent or another robot.
+            FormatError: the network is for another task, another number of objects or the other agent.
         """
         card, agent = network.card, "robot" if robot else "human"
         if card.task != "rearrange":
@@ -44,12 +43,19 @@ class RecurrentChooser:
             raise FormatError(f"Expected weights for a {agent}, these are for a {card.agent}.")
         if card.objects != objects:
             raise FormatError(f"These weights know {card.objects} objects, the episode has {objects}.")
-        if robot and body and body != card.robot:
-            raise FormatError(f"These weights drive the robot {card.robot}, the episode has {body}.")
         self.network = network
         self.choices = choices(objects, robot=robot)
         self.state = network.start()
         self._thought = 0
+
+    def require_body(self, body: str) -> None:
+        """Refuses another robot than the one that it was trained with.
+
+        Raises:
+            FormatError: it is another.
+        """
+        if body != self.network.card.robot:
+            raise FormatError(f"These weights drive the robot {self.network.card.robot}, the episode has {body}.")
 
     def act(self, view: RearrangeView) -> Action:
         """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""

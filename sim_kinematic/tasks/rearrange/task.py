@@ -28,6 +28,7 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
@@ -182,7 +183,9 @@ class Rearrange(Task):
         if plans and not (kind == "robot" and name in ROBOT_POLICIES):
             policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
         else:
-            policy, plan = robot_policy(name, objects, body=episode.roster[number].model), ""
+            policy, plan = robot_policy(name, objects), ""
+            if isinstance(policy, RecurrentChooser):
+                policy.require_body(episode.roster[number].model)
         return AssignedPolicy(policy, stamped(name), kind, plan)
 
     def check_policy(self, kind: str, name: str, spec: Any) -> None:
