@@ -29,9 +29,9 @@ from h3data_training.populations.settings import NAMES, ROBOT, PopulationSetting
 from sim_kinematic.agents.skills import choices
 from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork, encoded, input_lengths, rest_count
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser, allowed
-from sim_kinematic.policies.learned import network_of
+from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, network_of
 from sim_kinematic.policies.pictured import save_pictured
-from sim_kinematic.policies.rearrange import partner_policy, planner, robot_policy
+from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
@@ -456,6 +456,23 @@ def _file(folder: Path, network: ChooserNetwork, *, without: str = "", **changes
         data = {n: file[n] for n in file.files if n != without} | changes
     np.savez(path, **data)  # type: ignore[arg-type]
     return path.read_bytes()
+
+
+def test_trained_policies_come_with_the_package() -> None:
+    for names, agent in ((SHIPPED_IN["rearrange"], "robot"), (SHIPPED_PARTNERS, "human")):
+        cards = {}
+        for name in names:
+            network = network_of(name)
+            assert isinstance(network, ChooserNetwork)
+            cards[name] = network.card
+            assert network.card.agent == agent
+            assert name.startswith(network.card.training["population"])
+        assert len({network_of(name).digest for name in names}) == len(names)
+    seeds = [network_of(f"learn_single_partner_{k}").card.training["seed"] for k in range(3)]  # type: ignore[union-attr]
+    assert len(set(seeds)) == 3
+    task = find_task("rearrange")
+    assert set(SHIPPED_IN["rearrange"]) < set(task.policies["robot"])
+    assert set(ZSC_TEN) < set(task.policies["human"])
 
 
 @pytest.mark.parametrize(

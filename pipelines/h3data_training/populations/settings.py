@@ -57,12 +57,12 @@ class PopulationSettings:
     """At first only the critic learns: as long as it knows nothing, what it calls an advantage is noise."""
     epochs: int = 8
     chunks_per_minibatch: int = 12
-    kl_most: float = 0.03
+    kl_most: float = 0.02
     """No further epoch once the policy has moved this far from the one that played."""
-    rate: float = 2e-3
+    rate: float = 1e-3
     rate_end: float = 0.1
     """Share of the learning rate that is left at the end."""
-    entropy: float = 0.002
+    entropy: float = 0.005
     entropy_end: float = 0.2
     """Share of the weight of the entropy that is left at the end."""
     horizon: float = 500.0

@@ -84,22 +84,20 @@ class RecurrentChooser:
 
 
 def allowed(view: RearrangeView, known: Sequence[Action]) -> NDArray[np.bool_]:
-    """Which choices make sense to try, [C]: to go for what lies about and is not at its goal, with an empty hand; to go to the
-    goal of what the hand holds; to pick and to place where one has just arrived for that, and what has been begun; what has no
-    object always."""
+    """Which choices make sense to try, [C]: with an empty hand, to go for what lies about and is not at its goal; to go to the
+    goal of what the hand holds; not again to where one has just arrived, but to pick or to place there, and to go on with what
+    has been begun; what has no object always."""
     held, empty = view.held_by, not (view.held_by == view.agent).any()
     free = (held == NOBODY) & ~view.at_goal
     done = view.action if view.last is not None and view.last.outcome == "done" else None
     begun = view.action if view.last is not None and view.last.outcome == "aborted" else None
     found = np.ones(len(known), np.bool_)
     for number, (skill, k, *_) in enumerate(known):
-        if skill in ("nav_to_object", "pick"):
-            found[number] = empty and free[k]
-        elif skill in ("nav_to_goal", "place"):
-            found[number] = held[k] == view.agent
-        if skill in ("pick", "place"):
-            came = "nav_to_object" if skill == "pick" else "nav_to_goal"
-            arrived = done is not None and (done.skill, done.target) == (came, k)
-            going_on = begun is not None and (begun.skill, begun.target) == (skill, k)
-            found[number] &= arrived or going_on
+        if k < 0:
+            continue
+        came = {"pick": "nav_to_object", "place": "nav_to_goal"}.get(skill, skill)
+        arrived = done is not None and (done.skill, done.target) == (came, k)
+        going_on = begun is not None and (begun.skill, begun.target) == (skill, k)
+        may = empty and free[k] if came == "nav_to_object" else held[k] == view.agent
+        found[number] = may and (arrived != (skill == came) or going_on)
     return found
