@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 from sim_kinematic.agents.skills import Action, choices
+from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, ChooserNetwork, Floats, encoded
 from sim_kinematic.policies.rearrange_observations import observe
@@ -19,8 +20,9 @@ CLOSE_STEPS = 15
 
 
 class RecurrentChooser:
-    """Chooses the action with the highest score among those that are `allowed`; the recurrent state is its own, so there is one
-    for each episode.
+    """Chooses among the actions that are `allowed` as in training, at random by their scores, with random numbers that follow from
+    the episode's seed. The best every time would be worse: a robot that turns to the left and then to the right does so for good.
+    The recurrent state is its own, so there is one for each episode.
 
     On its way it thinks again every second, twice a second while the other agent is close, and at once when the other has
     taken what it is going for. It goes on by choosing the same.
@@ -46,7 +48,9 @@ class RecurrentChooser:
         self.network = network
         self.choices = choices(objects, robot=robot)
         self.state = network.start()
-        self._thought = 0
+        self.seed = 0
+        """Of the episode."""
+        self._thought, self._times = 0, 0
 
     def require_body(self, body: str) -> None:
         """Refuses another robot than the one that it was trained with.
@@ -62,13 +66,15 @@ class RecurrentChooser:
         shown = observe(view, OBSERVATIONS)
         each, rest = encoded(shown, agent=self.network.card.agent, objects=self.network.card.objects)
         scores, state = self.network(each, rest, self.state)
+        self._times = self._times + 1 if view.step == self._thought else 0  # several choices may be made in one step
         number = self.choose(view, each, rest, np.where(allowed(view, self.choices), scores, -np.inf))
         self.state, self._thought = state, view.step
         return self.choices[number]
 
     def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
         """The number of a choice, given the inputs of the network and its scores, minus infinity for what is not allowed."""
-        return int(np.argmax(scores))
+        rng = generator(self.seed, f"choices/{view.agent}", world=self._times, step=view.step)
+        return int(np.argmax(scores + rng.gumbel(size=len(scores))))
 
     def interrupts(self, view: RearrangeView) -> str:
         """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""

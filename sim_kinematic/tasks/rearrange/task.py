@@ -184,7 +184,9 @@ class Rearrange(Task):
             policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
         else:
             policy, plan = robot_policy(name, objects), ""
-            if isinstance(policy, RecurrentChooser):
+        if isinstance(policy, RecurrentChooser):
+            policy.seed = seed
+            if kind == "robot":
                 policy.require_body(episode.roster[number].model)
         return AssignedPolicy(policy, stamped(name), kind, plan)
 
