@@ -20,9 +20,9 @@ CLOSE_STEPS = 15
 
 
 class RecurrentChooser:
-    """Chooses among the actions that are `allowed` as in training, at random by their scores, with random numbers that follow from
-    the episode's seed. The best every time would be worse: a robot that turns to the left and then to the right does so for good.
-    The recurrent state is its own, so there is one for each episode.
+    """Chooses among the actions that are `allowed` as in training: at random by their scores, with random numbers that follow
+    from the episode's seed. Always the best would be worse: who turns to the left and then to the right does so for good. The
+    recurrent state is its own, so there is one for each episode.
 
     On its way it thinks again every second, twice a second while the other agent is close, and at once when the other has
     taken what it is going for. It goes on by choosing the same.
