@@ -16,6 +16,7 @@ import torch
 
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data_pipelines.cli import main
+from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_training.curve import curve_of
 from h3data_training.populations import learner as learning
 from h3data_training.populations import playing
@@ -456,6 +457,14 @@ def _file(folder: Path, network: ChooserNetwork, *, without: str = "", **changes
         data = {n: file[n] for n in file.files if n != without} | changes
     np.savez(path, **data)  # type: ignore[arg-type]
     return path.read_bytes()
+
+
+def test_a_zero_shot_population_may_hold_files(tmp_path: Path) -> None:
+    file = tmp_path / "person.npz"
+    save_pictured(chooser("partner_0"), file)
+    request = EvaluationRequest(task="rearrange", partners=f"both,weights:{file}", zsc=(f"both,weights:{file}",))
+    assert request.population == request.jobs()[0].partners
+    assert "@" in request.population[1]
 
 
 def test_trained_policies_come_with_the_package() -> None:
