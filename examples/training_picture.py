@@ -1,4 +1,4 @@
-"""Learning curves of runs of ``h3data train``, one line a run: docs/pictures/training.png.
+"""Learning curves of runs of ``h3data train``, one line a run: docs/pictures/training.png, docs/pictures/populations.png.
 
 python examples/training_picture.py OUT.png out/nav/0 out/nav/1 out/nav/2
 """
@@ -11,33 +11,38 @@ import numpy as np
 
 from h3data_training.curve import curve_of
 
-PANELS = {
-    "follows": "share of steps in which the robot follows",
-    "collided": "share of ended episodes that ended in contact",
+SOCIAL_NAV = {
+    "follows": ("share of steps in which the robot follows", 1.0),
+    "collided": ("share of ended episodes that ended in contact", 1.0),
 }
-COLORS = ((180, 119, 31), (14, 127, 255), (44, 160, 44), (189, 103, 148))
+REARRANGE = {
+    "success": ("share of episodes that succeed", 1.0),
+    "steps_per_episode": ("thousands of steps of an episode", 1000.0),
+}
+COLORS = ((180, 119, 31), (14, 127, 255), (44, 160, 44), (189, 103, 148), (40, 39, 214), (75, 86, 140))
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 720, 420, 60, 50, 50
 SMOOTH = 9  # updates
 
 out, folders = Path(sys.argv[1]), [Path(folder) for folder in sys.argv[2:]]
 runs = [curve_of(folder) for folder in folders]
 last = max(row["decisions"] for run in runs for row in run)
+unit, name_of_unit = (1e6, "millions") if last > 2e6 else (1e3, "thousands")
 
 
 def write(panel: np.ndarray, text: str, x: int, y: int, color: tuple[int, int, int] = (40, 40, 40)) -> None:
     cv2.putText(panel, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, 1, cv2.LINE_AA)
 
 
-def drawn(name: str, title: str) -> np.ndarray:
+def drawn(name: str, title: str, scale: float) -> np.ndarray:
     panel = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
     wide, high = WIDTH - LEFT - 30, HEIGHT - TOP - BOTTOM
     for share in np.linspace(0, 1, 6):
         y = int(TOP + high * (1 - share))
         cv2.line(panel, (LEFT, y), (LEFT + wide, y), (225, 225, 225), 1)
         write(panel, f"{share:.1f}", 20, y + 5)
-        write(panel, f"{share * last / 1e6:.0f}", int(LEFT + wide * share) - 10, HEIGHT - 28)
+        write(panel, f"{share * last / unit:.0f}", int(LEFT + wide * share) - 10, HEIGHT - 28)
     for k, run in enumerate(runs):
-        values = np.array([row[name] for row in run])
+        values = np.array([row[name] for row in run]) / scale
         values = np.convolve(np.pad(values, SMOOTH // 2, mode="edge"), np.ones(SMOOTH) / SMOOTH, mode="valid")
         x = LEFT + wide * np.array([row["decisions"] for row in run]) / last
         points = np.stack([x, TOP + high * (1 - values)], 1)
@@ -46,8 +51,9 @@ def drawn(name: str, title: str) -> np.ndarray:
         )
         write(panel, folders[k].name, LEFT + wide - 110, TOP + 18 + 17 * k, COLORS[k % len(COLORS)])
     write(panel, title, LEFT, 30)
-    write(panel, "millions of decisions", WIDTH // 2 - 80, HEIGHT - 8)
+    write(panel, f"{name_of_unit} of decisions", WIDTH // 2 - 80, HEIGHT - 8)
     return panel
 
 
-cv2.imwrite(str(out), np.hstack([drawn(name, title) for name, title in PANELS.items()]))
+panels = REARRANGE if "success" in runs[0][0] else SOCIAL_NAV
+cv2.imwrite(str(out), np.hstack([drawn(name, *of) for name, of in panels.items()]))

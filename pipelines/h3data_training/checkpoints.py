@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 
 from h3data.errors import FormatError, InputError
 from h3data_training.ppo import Learner
-from h3data_training.settings import Settings
 
 FORMAT = "h3data.training/1"
 FREE = ("minutes", "updates")
@@ -56,8 +55,14 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
         raise FormatError(f"The checkpoint does not fit ({reason}). File: {path}") from None
 
 
-def read(path: Path, settings: Settings, seed: int) -> dict[str, Any]:
-    """A checkpoint of the same settings and seed.
+class PlainSettings(Protocol):
+    """Settings of a run, whose class has defaults for all of them."""
+
+    def as_dict(self) -> dict[str, Any]: ...
+
+
+def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any]:
+    """A checkpoint of the same settings and seed; ``form`` is what its file says that it is.
 
     Raises:
         FormatError: it is none, or damaged.
@@ -66,14 +71,14 @@ def read(path: Path, settings: Settings, seed: int) -> dict[str, Any]:
     try:
         kept = torch.load(path, map_location="cpu", weights_only=True)  # numbers only: nothing in it is executed
         then = kept["settings"] | {"seed": kept["seed"]}
-        fits = kept["format"] == FORMAT
+        fits = kept["format"] == form
     except Exception as fault:  # torch raises whatever the bytes lead to
         raise FormatError(f"Expected a checkpoint of h3data train, this is none, or damaged ({type(fault).__name__}). "
                           f"Hint: --force begins anew. File: {path}") from None  # fmt: skip
     if not fits:
-        raise FormatError(f"Expected a checkpoint {FORMAT}, got {kept['format']}. File: {path}")
+        raise FormatError(f"Expected a checkpoint {form}, got {kept['format']}. File: {path}")
     now = settings.as_dict() | {"seed": seed}
-    then = Settings().as_dict() | then  # settings that are newer than the checkpoint have their defaults
+    then = type(settings)().as_dict() | then  # settings that are newer than the checkpoint have their defaults
     other = [f"{n}={then.get(n)!r}, not {now[n]!r}" for n in now if n not in FREE and then.get(n) != now[n]]
     if other:
         raise InputError(

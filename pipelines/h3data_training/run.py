@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import timedelta
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +21,7 @@ from h3data_training.launch import Stop, launch
 from h3data_training.networks import begin_with
 from h3data_training.ppo import Learner, schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
+from h3data_training.running import SPARE_S, Result, Say, is_over, one_thread, share_of, stop_asked
 from h3data_training.settings import Settings
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
@@ -31,27 +29,6 @@ from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pi
 from sim_kinematic.torch.episodes import EpisodeBank
 
 CHECKPOINT, POLICY = "checkpoint.pt", "policy.npz"
-SPARE_S = 10.0
-"""Kept at the end of a run of so many minutes, for the last update and the files."""
-
-Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Result:
-    """What a call of `train` came to."""
-
-    folder: Path
-    done: bool
-    """The run is over; else it goes on from the checkpoint."""
-    updates: int
-    decisions: int
-    seconds: float
-    """Of all calls, set-up included."""
-    setup_s: float
-    """Of this call."""
-    last: dict[str, float]
-    """Last row of the learning curve."""
 
 
 def train(
@@ -95,7 +72,7 @@ def train(
             f"got {settings.worlds}."
         )
     job.kept()
-    with _stop_asked() as stop:
+    with stop_asked() as stop:
         if place is None and processes > 1:
             return launch(_work, processes, replace(job, bank=job.episodes(say)), stop=stop, say=say)
         return _work(job, stop, say)
@@ -125,7 +102,7 @@ class _Job:
         if not self.resume or not path.exists():
             return None
         kept = checkpoints.read(path, self.settings, self.seed)
-        if _is_over(self.settings, kept["curve"], kept["seconds"], kept["setups_s"]):
+        if is_over(self.settings, kept["curve"], kept["seconds"], kept["setups_s"]):
             raise InputError(
                 f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
                 f"Hint: give it more --minutes. Folder: {self.folder}"
@@ -144,7 +121,7 @@ def _work(job: _Job, stop: Stop, say: Say) -> Result:
     if not ranks.is_first:
         say = _silent
     bank = job.episodes(say if job.bank is None else _silent)
-    with _one_thread(job.device):
+    with one_thread(job.device):
         try:
             return _Run(job, ranks, device, bank, say).go(stop)
         except torch.cuda.OutOfMemoryError as fault:
@@ -198,7 +175,7 @@ class _Run:
 
     @property
     def share(self) -> float:
-        return _share(self.settings, self.curve, self.seconds, self.setups_s)
+        return share_of(self.settings, self.curve, self.seconds, self.setups_s)
 
     def go(self, stop: Stop) -> Result:
         job, is_first = self.job, self.ranks.is_first
@@ -223,7 +200,7 @@ class _Run:
                     "decisions_per_s": size / (now - start),
                 }
             )  # fmt: skip
-            if not all(map(_is_finite, row.values())):
+            if not all(map(isfinite, row.values())):
                 raise InputError(
                     f"Training diverged in update {update + 1}: a number is not finite. The checkpoint is as it was. "
                     f"Hint: another seed, or a lower rate. Folder: {self.folder}"
@@ -302,58 +279,6 @@ class _Run:
             ),
             arrays=self.learner.net.arrays(),
         )  # fmt: skip
-
-
-def _share(settings: Settings, curve: list[Any], seconds: float, setups_s: float) -> float:
-    """Progress, 0..1: by updates where their number is given, else by the time spent learning."""
-    if settings.updates:
-        return min(len(curve) / settings.updates, 1.0)
-    return min(max((seconds - setups_s) / max(settings.minutes * 60 - setups_s - SPARE_S, 1e-9), 0.0), 1.0)
-
-
-def _is_over(settings: Settings, curve: list[Any], seconds: float, setups_s: float) -> bool:
-    return _share(settings, curve, seconds, setups_s) >= 1
-
-
-def _is_finite(number: float) -> bool:
-    return number == number and abs(number) != float("inf")
-
-
-@contextmanager
-def _stop_asked() -> Iterator[threading.Event]:
-    """Set by Ctrl-C or SIGTERM, so that an update is finished and saved; a second one ends the process at once."""
-    stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-
-    def ask(number: int, frame: Any) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, ask)
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _one_thread(device: str) -> Iterator[None]:
-    """On the CPU, one thread: the tensors are small, and beside other work several threads wait for each other most of the
-    time (145 decisions a second instead of 6,000)."""
-    threads = torch.get_num_threads()
-    if device == "cpu":
-        torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def describe(settings: Settings) -> str:

@@ -16,6 +16,8 @@ from h3data.errors import FormatError, InputError
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import network as files
 from sim_kinematic.policies import pictured
+from sim_kinematic.policies.choosers import chooser_network
+from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork
 from sim_kinematic.policies.network import Network
 from sim_kinematic.policies.pictured import PicturedNetwork
 from sim_kinematic.policies.policy import Velocity
@@ -23,11 +25,23 @@ from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
 
 PREFIX = "weights:"
-SHIPPED = {"end_to_end": "policies/end_to_end.npz"}
-"""Trained policies that come with the package, by name (docs/training.md)."""
+SHIPPED_IN: Mapping[str, Mapping[str, str]] = {
+    "social_nav": {"end_to_end": "policies/end_to_end.npz"},
+    "rearrange": {name: f"policies/{name}.npz" for name in ("learn_single", "plan_pop_3_robot", "learn_pop")},
+}
+"""Trained robots that come with the package, by task and name (docs/training.md, docs/populations.md)."""
+SHIPPED_PARTNERS: Mapping[str, str] = {
+    f"{population}_partner_{k}": f"policies/{population}_partner_{k}.npz"
+    for population in ("learn_single", "learn_pop")
+    for k in range(3)
+}
+"""Trained people of rearrangement: of three runs of Learn-Single, and three of the eight of Learn-Pop."""
+SHIPPED: Mapping[str, str] = {**SHIPPED_IN["social_nav"], **SHIPPED_IN["rearrange"], **SHIPPED_PARTNERS}
+"""All of them."""
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 
 Floats = NDArray[np.floating]
+AnyNetwork = Network | PicturedNetwork | ChooserNetwork
 
 
 # --- names --------------------------------------------------------------------------------------------------------------
@@ -51,7 +65,7 @@ def stamped(policy: str) -> str:
     return policy if found else f"{policy}@{network.digest[:12]}"
 
 
-def network_of(policy: str) -> Network | PicturedNetwork:
+def network_of(policy: str) -> AnyNetwork:
     """The network that ``weights:FILE``, ``weights:FILE@digest`` or a name of `SHIPPED` means.
 
     Raises:
@@ -71,8 +85,8 @@ def network_of(policy: str) -> Network | PicturedNetwork:
     return network
 
 
-@lru_cache(maxsize=8)
-def _loaded(path: Path, changed_ns: int) -> Network | PicturedNetwork:
+@lru_cache(maxsize=32)
+def _loaded(path: Path, changed_ns: int) -> AnyNetwork:
     del changed_ns  # a file that has changed is read again
     found, data = files.read_arrays(path)
     if found == pictured.FILE_FORMAT:
@@ -85,8 +99,10 @@ def _loaded(path: Path, changed_ns: int) -> Network | PicturedNetwork:
     )
 
 
-def _kind_of(network: str) -> type[PicturedNetwork]:
+def _kind_of(network: str) -> type[PicturedNetwork] | type[ChooserNetwork]:
     """What the card of a policy file names; PyTorch is imported for one that needs it."""
+    if network == chooser_network.KIND:
+        return ChooserNetwork
     if network == "resnet18_lstm":
         from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 
@@ -191,7 +207,7 @@ class PicturedNavigation:
         return shown | (view.pictures(pictures, card.picture_size) if pictures and view.pictures else {})
 
 
-def navigation_of(network: Network | PicturedNetwork, *, robot: str = "") -> LearnedNavigation | PicturedNavigation:
+def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation | PicturedNavigation:
     """A fresh player of a network for one episode.
 
     Raises:
@@ -199,6 +215,8 @@ def navigation_of(network: Network | PicturedNetwork, *, robot: str = "") -> Lea
     """
     if isinstance(network, PicturedNetwork):
         return PicturedNavigation(network, robot=robot)
+    if isinstance(network, ChooserNetwork):
+        raise FormatError(f"Expected weights for the task social_nav, these are for {network.task!r}.")
     return LearnedNavigation(network)
 
 

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 from sim_kinematic.agents.skills import Action, choices
+from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
 from sim_kinematic.policies.learned import network_of, require
 from sim_kinematic.policies.network import Network
 from sim_kinematic.policies.rearrange_observations import SENSES, observe
@@ -40,13 +42,15 @@ class LearnedChooser:
         return "agents_close" if view.close and "interrupted" in self.network.observations else ""
 
 
-def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser:
-    """What ``weights:FILE`` names.
+def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser | RecurrentChooser:
+    """What ``weights:FILE`` or the name of a trained policy means.
 
     Raises:
         InputError: there is no such file, it is none, or does not fit.
     """
     network = network_of(policy)
+    if isinstance(network, ChooserNetwork):
+        return RecurrentChooser(network, objects, robot=robot)
     if not isinstance(network, Network):
         raise FormatError(f"Expected weights for the task {TASK}, these are for {network.task!r}.")
     return LearnedChooser(network, objects, robot=robot)

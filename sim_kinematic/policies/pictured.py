@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import msgspec
 import numpy as np
@@ -70,7 +70,11 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     hold: int
     """Steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"
-    """Which layers there are: ``cnn_gru``, or ``resnet18_lstm``, the paper's."""
+    """Which layers there are: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
+    agent: str = "robot"
+    """Who acts by it: ``robot`` or ``human``."""
+    objects: int = 0
+    """So many objects of rearrangement it knows."""
     training: dict[str, Any] = {}
     """How it came about: recipe, seed, steps, hardware, versions."""
 
@@ -174,7 +178,7 @@ class PicturedNetwork:
     def _layer(self, name: str, x: Floats, kind: str = "") -> Floats:
         """Outputs [out] or [n, out] of a linear layer for inputs [in] or [n, in]."""
         rows = np.ascontiguousarray(np.atleast_2d(x), np.float32)
-        out = _affine(rows, self._columns[f"{name}.weight{kind}"], self.arrays[f"{name}.bias{kind}"].astype(np.float32))
+        out = affine(rows, self._columns[f"{name}.weight{kind}"], self.arrays[f"{name}.bias{kind}"].astype(np.float32))
         return out if x.ndim == 2 else out[0]
 
     def _numbers(self, shown: Mapping[str, NDArray[Any]], last: Floats) -> Floats:
@@ -217,7 +221,7 @@ def _windows(x: Floats, stride: int) -> tuple[Floats, tuple[int, int]]:
 
 
 @kernel()
-def _affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
+def affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
     """``x @ columns + bias`` for [n, in], [in, out], [out], in float32; every sum in the order of the inputs."""
     out = np.empty((len(x), len(bias)), np.float32)
     for row in range(len(x)):
@@ -276,7 +280,19 @@ def _rows(arrays: Mapping[str, Floats], name: str) -> int:
 
 
 # --- files --------------------------------------------------------------------------------------------------------------
-def save_pictured(network: PicturedNetwork, path: str | Path) -> None:
+class CardedNetwork(Protocol):
+    """A network that is kept in a policy file."""
+
+    @property
+    def card(self) -> PolicyCard: ...
+    @property
+    def arrays(self) -> Mapping[str, Floats]: ...
+
+
+Kind = TypeVar("Kind", bound=CardedNetwork)
+
+
+def save_pictured(network: CardedNetwork, path: str | Path) -> None:
     """Write an npz: ``format``, ``card`` (JSON) and the arrays. The file appears whole or not at all."""
     text = {"format": np.array(FILE_FORMAT), "card": np.array(msgspec.json.encode(network.card).decode())}
     with part_file(path) as part, part.open("wb") as stream:
@@ -284,8 +300,8 @@ def save_pictured(network: PicturedNetwork, path: str | Path) -> None:
 
 
 def pictured_from(
-    data: Mapping[str, NDArray[Any]], path: str | Path, *, kind_of: Callable[[str], type[PicturedNetwork]]
-) -> PicturedNetwork:
+    data: Mapping[str, NDArray[Any]], path: str | Path, *, kind_of: Callable[[str], Callable[..., Kind]]
+) -> Kind:
     """The policy in the arrays of a file.
 
     Args:

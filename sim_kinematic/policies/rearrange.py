@@ -15,7 +15,7 @@ from h3data.errors import InputError, did_you_mean
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.learned import is_learned, stamped
+from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, is_learned, stamped
 from sim_kinematic.policies.learned_chooser import learned_chooser
 from sim_kinematic.policies.views import RearrangeView
 
@@ -29,7 +29,9 @@ POPULATIONS: dict[str, tuple[str, ...]] = {
 }
 """From which plans a partner is drawn, anew in each episode (paper section 4.2, Plan-Pop)."""
 ZSC = ("both", "object_1", "object_2", "still")
-"""The planners of the paper's zero-shot population (appendix); its six learned partners were not published."""
+"""The planners of the paper's zero-shot population (appendix)."""
+ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
+"""That population with its six learned partners, which are trained here: the paper's were not published."""
 REPLAN_STEPS = 15
 """So often a robot on its way to an object thinks again; in every step while the person is close."""
 IN_REACH_M = 0.9
@@ -186,10 +188,9 @@ def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
     if is_learned(name):
         return learned_chooser(name, objects, robot=True)
     if name not in ROBOT_POLICIES:
-        near = did_you_mean(name, ROBOT_POLICIES)
-        raise InputError(
-            f"Unknown policy {name!r}.{near} Expected one of: {', '.join(ROBOT_POLICIES)}, or weights:FILE."
-        )
+        there = (*ROBOT_POLICIES, *SHIPPED_IN["rearrange"])
+        near = did_you_mean(name, there)
+        raise InputError(f"Unknown policy {name!r}.{near} Expected one of: {', '.join(there)}, or weights:FILE.")
     return ROBOT_POLICIES[name]()
 
 
@@ -201,8 +202,9 @@ def partner_plan(name: str, seed: int) -> str:
     if name in PLANS:
         return name
     if name not in POPULATIONS:
-        near = did_you_mean(name, PARTNERS)
-        raise InputError(f"Unknown partner {name!r}.{near} Expected one of: {', '.join(PARTNERS)}, or weights:FILE.")
+        there = (*PARTNERS, *SHIPPED_PARTNERS)
+        near = did_you_mean(name, there)
+        raise InputError(f"Unknown partner {name!r}.{near} Expected one of: {', '.join(there)}, or weights:FILE.")
     plans = POPULATIONS[name]
     return plans[int(generator(seed, f"partner/{name}").integers(len(plans)))]
 

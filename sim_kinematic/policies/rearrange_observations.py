@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_kinematic.agents.skills import choices
+from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.sensing.agent_pictures import Limits
@@ -29,6 +30,10 @@ from sim_kinematic.sensing.sensor import (
     other_agent_gps,
 )
 
+SNAP_M = 2.0
+"""The floor is at most this far from an object or a goal."""
+NEARER_M = 3.0
+"""Nobody gets nearer to anything by more than this in a second."""
 Floats = NDArray[np.floating]
 Times = Literal["once", "objects", "joints", "choices"]
 
@@ -92,6 +97,25 @@ def _one_of_choices(outcome: str) -> Callable[[RearrangeView], Floats]:
     return seen
 
 
+def _ways(start: NDArray, points: NDArray, view: RearrangeView) -> Floats:
+    """Lengths of the shortest ways from ``start`` [2] to points [K, 3] [m]; points lie on furniture, so ends are moved to the
+    floor."""
+    ways = view.free.geodesic(np.broadcast_to(start, (len(points), 2)), points[:, [0, 2]], max_snap_m=SNAP_M)
+    return np.minimum(ways, FAR_M)
+
+
+def _of_other(of: Callable[[RearrangeView], Floats]) -> Callable[[RearrangeView], Floats]:
+    """Of the other agent, for each object: zeros where there is none."""
+    return lambda view: of(view) if np.isfinite(view.other_xz).all() else np.zeros(len(view.objects))
+
+
+def _approach(view: RearrangeView) -> Floats:
+    """How much shorter the other's way to each object has become over their known track, a second [K] [m]."""
+    before, now = (_ways(xz, view.objects, view) for xz in (view.other_track[0], view.other_xz))
+    return np.clip(before - now, -NEARER_M, NEARER_M)
+
+
+_WAYS = ((0.0,), (FAR_M,), "objects")
 _OTHER_GPS = _other(lambda v: gps_compass(v.xz, v.heading, v.other_xz), (0.0, -np.pi), (FAR_M, np.pi))
 SENSES: Mapping[str, Sense] = {
     "is_holding": _flags(lambda v: np.array([(v.held_by == v.agent).any()]), "once"),
@@ -127,6 +151,13 @@ SENSES: Mapping[str, Sense] = {
     "arm_joints": Sense(lambda v: v.arm, (-10.0,), (10.0,), "joints"),
     "last_done": Sense(_one_of_choices("done"), (0.0,), (1.0,), "choices"),
     "interrupted": Sense(_one_of_choices("aborted"), (0.0,), (1.0,), "choices"),
+    "last_failed": Sense(_one_of_choices("failed"), (0.0,), (1.0,), "choices"),
+    "way_to_objects": Sense(lambda v: _ways(v.xz, v.objects, v), *_WAYS),
+    "way_to_goals": Sense(lambda v: _ways(v.xz, v.goals, v), *_WAYS),
+    "other_way_to_objects": Sense(_of_other(lambda v: _ways(v.other_xz, v.objects, v)), *_WAYS),
+    "other_way_to_goals": Sense(_of_other(lambda v: _ways(v.other_xz, v.goals, v)), *_WAYS),
+    "other_approach": Sense(_of_other(_approach), (-NEARER_M,), (NEARER_M,), "objects"),
+    "elapsed_s": Sense(lambda v: np.array([v.step * STEP_S]), (0.0,), (FAR_M,), "once"),
 }  # fmt: skip
 HABITAT_SENSES = (
     "arm_depth", "is_holding", "obj_start_gps_compass", "obj_goal_gps_compass", "other_agent_gps", "obj_start_sensor",

@@ -16,7 +16,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.policies.learned import SHIPPED, LearnedNavigation, is_learned, navigation_of, network_of, stamped
+from sim_kinematic.policies.learned import SHIPPED_IN, LearnedNavigation, is_learned, navigation_of, network_of, stamped
 from sim_kinematic.policies.network import load_network
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
@@ -269,9 +269,9 @@ def policy_by_name(name: str) -> Policy:
         return navigation_of(network_of(name))
     name = EARLIER_NAMES.get(name, name)
     if name not in POLICIES:
+        there = [*POLICIES, *SHIPPED_IN["social_nav"]]
         raise InputError(
-            f"Unknown policy {name!r}.{did_you_mean(name, [*POLICIES, *SHIPPED])} Expected one of: "
-            f"{', '.join([*POLICIES, *SHIPPED])}, or weights:FILE."
+            f"Unknown policy {name!r}.{did_you_mean(name, there)} Expected one of: {', '.join(there)}, or weights:FILE."
         )
     return POLICIES[name]
 

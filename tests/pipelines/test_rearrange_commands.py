@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 import h3data
 from h3data.recording import recordings_equal
 from h3data_pipelines.cli import main
-from h3data_pipelines.jobs.cross_play import METRICS, ZSC_COLUMN, Row, cross_play_table
+from h3data_pipelines.jobs.cross_play import METRICS, ZSC_COLUMN, ZSC_TEN_COLUMN, Row, cross_play_table
 from h3data_viewers.html_report.report import make_report
 from sim_kinematic.policies import rearrange as planners
 
@@ -140,6 +141,12 @@ def test_the_zero_shot_column_is_over_the_four_planners() -> None:
     assert table.cells["SR", "p", ZSC_COLUMN].mean == 0.75
     assert table.cells["RE", "p", ZSC_COLUMN].count == 3
     assert "75 [30, 95]" in table.to_text()
+    assert ZSC_TEN_COLUMN not in table.partners
+    more = [replace(rows[0], partner=partner, plan=partner) for partner in planners.ZSC_TEN[4:]]
+    ten = cross_play_table([*rows, *more])
+    assert len(planners.ZSC_TEN) == 10
+    assert ten.cells["SR", "p", ZSC_COLUMN].mean == 0.75
+    assert ten.cells["SR", "p", ZSC_TEN_COLUMN].mean == 0.9
 
 
 @pytest.mark.slow

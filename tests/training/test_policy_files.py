@@ -66,8 +66,8 @@ def test_its_sums_do_not_depend_on_how_many_are_made_at_once() -> None:
     rng = np.random.default_rng(0)
     x, columns, bias = (rng.normal(size=s).astype(np.float32) for s in ((7, 40), (40, 9), (9,)))
     x[x < 0] = 0
-    together = pictured._affine(x, columns, bias)
-    apart = np.concatenate([pictured._affine(x[k : k + 1], columns, bias) for k in range(len(x))])
+    together = pictured.affine(x, columns, bias)
+    apart = np.concatenate([pictured.affine(x[k : k + 1], columns, bias) for k in range(len(x))])
     np.testing.assert_array_equal(together, apart)
     np.testing.assert_allclose(together, x.astype(float) @ columns + bias, rtol=1e-5, atol=1e-5)
 

@@ -41,13 +41,13 @@ class Evaluate:
     policies: str = ALL
     """Robots, separated by commas. social_nav: rollout_expert, heuristic_expert, sampling_expert, future_oracle,
     learned_follower, end_to_end, random, stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object,
-    still; or all."""
+    still, and the learned learn_single, plan_pop_3_robot and learn_pop; or all."""
     partners: str = ALL
     """rearrange: policies of the person, as --partner of h3data generate, separated by commas: plan_pop_1 to plan_pop_4,
-    both, object_1, object_2, still; or all."""
+    both, object_1, object_2, still, and the learned learn_single_partner_0 to _2 and learn_pop_partner_0 to _2; or all."""
     zsc: tuple[str, ...] = ()
     """rearrange: a partner of the population whose mean is shown (repeatable; default: the paper's four planners, both,
-    object_1, object_2 and still, if all play)."""
+    object_1, object_2 and still, if all play, and the ten of these and the learned ones, if they do)."""
     scenes: str = "h3-homes/test"
     """As of h3data generate."""
     episodes_file: Path | None = None

@@ -108,10 +108,11 @@ class Generate:
     policy: str | None = None
     """Robot policy. social_nav: rollout_expert (default), heuristic_expert, sampling_expert, future_oracle (knows their walk),
     learned_follower, end_to_end (sees by cameras), random or stand_still; rearrange: complement (default), greedy_nearest,
-    same_object, still, or solo (there is no robot). Both: weights:FILE, a learned one (docs/learned-policies.md)."""
+    same_object, still, the learned learn_single, plan_pop_3_robot and learn_pop (docs/populations.md), or solo (there is no
+    robot). Both: weights:FILE, a learned one (docs/learned-policies.md)."""
     partner: str | None = None
-    """rearrange: policy of the person: both (default), object_1, object_2, still; or plan_pop_1 to plan_pop_4, populations
-    of which each episode samples one."""
+    """rearrange: policy of the person: both (default), object_1, object_2, still; plan_pop_1 to plan_pop_4, populations of
+    which each episode samples one; or a learned one, learn_single_partner_0 to _2, learn_pop_partner_0 to _2, weights:FILE."""
     agents: str | None = None
     """rearrange and wander: who takes part, separated by commas (default: robot,human): kinds, bodies, files, or a kind
     with one of these, as in robot,human,male_1 or robot:my_robot.urdf,human:male_1. In rearrange --policy and --partner

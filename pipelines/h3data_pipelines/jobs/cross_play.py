@@ -15,8 +15,9 @@ from h3data.metrics.table import aligned, deviation_lines, summarize
 
 METRICS = tuple(m for m in REARRANGEMENT_PROFILE.metrics if m.name in REARRANGEMENT_PROFILE.report.columns)
 """Metrics of the paper's table."""
-ZSC_COLUMN, ZSC_NAMED = "ZSC planners", "ZSC mean"
-"""Heads of the columns of the paper's four planners and of a population that the user names."""
+ZSC_COLUMN, ZSC_TEN_COLUMN, ZSC_NAMED = "ZSC planners", "ZSC ten", "ZSC mean"
+"""Heads of the columns of the paper's four planners, of these and six learned partners, and of a population that the user
+names."""
 NOTHING = "No episode could be played: there is no table."
 
 
@@ -88,9 +89,10 @@ def cross_play_table(rows: Iterable[Row], zsc: Sequence[str] = ()) -> CrossPlayT
 
     Args:
         rows: One for each robot, partner and episode.
-        zsc: Partners of the zero-shot population (default: the paper's four planners, if all are there).
+        zsc: Partners of the zero-shot population (default: the paper's four planners, and these with six learned partners, if
+            all are there).
     """
-    from sim_kinematic.policies.rearrange import ZSC
+    from sim_kinematic.policies.rearrange import ZSC, ZSC_TEN
 
     rows = list(rows)
     policies = tuple(dict.fromkeys(row.policy for row in rows))
@@ -100,6 +102,8 @@ def cross_play_table(rows: Iterable[Row], zsc: Sequence[str] = ()) -> CrossPlayT
         groups[ZSC_NAMED] = tuple(zsc)
     elif set(ZSC) <= set(partners):
         groups[ZSC_COLUMN] = ZSC
+        if set(ZSC_TEN) <= set(partners):
+            groups[ZSC_TEN_COLUMN] = ZSC_TEN
     cells = {
         (metric.name, policy, name): cell_of(
             metric, [r.values.get(metric.name) for r in rows if r.policy == policy and r.partner in of]

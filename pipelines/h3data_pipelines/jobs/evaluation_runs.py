@@ -95,8 +95,12 @@ class EvaluationRequest:
 
     @property
     def population(self) -> tuple[str, ...]:
-        """Names in ``zsc``, of which one entry may have several with commas between."""
-        return tuple(dict.fromkeys(name.strip() for entry in self.zsc for name in entry.split(",") if name.strip()))
+        """Names in ``zsc``, of which one entry may have several with commas between; learned ones as those of partners are
+        recorded, by the digest of their weights."""
+        from sim_kinematic.policies.learned import stamped
+
+        names = (name.strip() for entry in self.zsc for name in entry.split(","))
+        return tuple(dict.fromkeys(stamped(name) for name in names if name))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,9 +1,9 @@
-"""``h3data train``: learns a policy from pictures, on a GPU or, in small, on a CPU."""
+"""``h3data train``: learns social navigation from pictures, on a GPU or, in small, on a CPU, and rearrangement beside
+populations of partners, on CPU cores."""
 
 from __future__ import annotations
 
 import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from h3data.errors import InputError
-from h3data.progress import is_quiet
-from h3data.terminal import printable
 from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, claim_folder, counted
+from h3data_pipelines.learning.lines import say
 
 if TYPE_CHECKING:
     from h3data_training.run import Result
@@ -21,13 +20,19 @@ if TYPE_CHECKING:
     from sim_kinematic.policies.pictured import PicturedNetwork
 
 
+OF_REARRANGE = ("population", "workers", "episodes_file")
+"""Options that only rearrange has,"""
+OF_SOCIAL_NAV = ("recipe", "observations", "worlds", "hold", "init", "rollout", "minibatches", "follow_steps")
+"""and those that only social_nav has, beside the device and the number of GPUs."""
+
+
 @dataclass(frozen=True)
 class Train:
-    """Learn a policy from pictures, into a file of weights.
+    """Learn a policy into a file of weights: social_nav from pictures, rearrange beside a population of partners.
 
     The file plays wherever a policy has a name. The folder gets policy.npz, curve.parquet (the learning curve; tensorboard/
-    too, where TensorBoard is installed) and checkpoint.pt, all renewed every half minute. Ctrl-C or SIGTERM finishes the
-    update and saves; --resume goes on.
+    too, where TensorBoard is installed) and checkpoint.pt, all renewed every half minute; of rearrange also partner_0.npz, ...,
+    where partners learn. Ctrl-C or SIGTERM finishes the update and saves; --resume goes on.
 
     Examples:
         h3data train social_nav --recipe fast --device cuda -o out/nav
@@ -36,27 +41,38 @@ class Train:
         h3data train social_nav --recipe tiny -o out/tiny
         h3data train social_nav --observations humanoid_detector,humanoid_gps --device cuda -o out/blind
         h3data train social_nav --recipe fast --dry-run -o out/nav
+        h3data train rearrange --population plan_pop_3 --minutes 30 -o out/plan_pop_3
+        h3data train rearrange --population learn_pop --workers 16 --updates 200 --resume -o out/learn_pop
         h3data evaluate social_nav --policies weights:out/nav/policy.npz,rollout_expert -o out/table
     """
 
     task: tyro.conf.Positional[str]
-    """social_nav: find a walking person and follow them, with the paper's reward."""
+    """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals, by skills.
+    Both with the paper's reward."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the run."""
-    recipe: Literal["fast", "paper", "tiny"] = "tiny"
-    """Settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one
+    population: str | None = None
+    """rearrange: who is beside the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to
+    plan_pop_4: planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
+    recipe: Literal["fast", "paper", "tiny"] | None = None
+    """social_nav, settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one
     (pictures of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where
-    the person is and how far off walls are)."""
+    the person is and how far off walls are; the default)."""
     seed: int = 0
     """Everything random follows from it."""
     minutes: float | None = None
-    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10)."""
+    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30)."""
     updates: int | None = None
     """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
     stop_after: float | None = None
     """Save and stop after so many minutes of this call; --resume goes on."""
+    workers: int | None = None
+    """rearrange: processes that play (default: one for each core). The weights do not depend on it."""
+    episodes_file: Path | None = None
+    """rearrange: episodes to play, drawn and written where there is no such file, so that several runs share them (default:
+    episodes.json.gz in the folder)."""
     device: str = "cpu"
-    """cpu, cuda or cuda:N."""
+    """social_nav: cpu, cuda or cuda:N."""
     scenes: str | None = None
     """Homes to learn in, as of h3data generate (default: h3-homes/train)."""
     observations: str | None = None
@@ -68,8 +84,8 @@ class Train:
     """Steps of 1/30 s for which an action is held (default: 3)."""
     robot: str | None = None
     """Body of the robot (default: quad_arm)."""
-    walk: Literal["natural", "paper"] | None = None
-    """How people walk, as --human-walk of h3data generate (default: natural)."""
+    walk: Literal["natural", "paper", "both"] | None = None
+    """How people walk, as --human-walk of h3data generate (default: natural; rearrange both, half of the episodes each)."""
     gpus: int = 1
     """Processes that train together, one for each GPU, each with its share of the worlds; on the CPU as many processes. In
     processes that torchrun starts, as many as there are."""
@@ -89,27 +105,32 @@ class Train:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        if self.task != "social_nav":
-            raise InputError(
-                f"Expected the task social_nav, got {self.task!r}: policies of other tasks cannot be trained yet."
-            )
         if self.resume and self.force:
             raise InputError("Expected --resume (go on) or --force (begin anew), got both.")
+        if self.stop_after is not None and not self.stop_after > 0:
+            raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
+        if self.task == "rearrange":
+            return self._rearrange()
+        if self.task != "social_nav":
+            raise InputError(
+                f"Expected the task social_nav or rearrange, got {self.task!r}: policies of other tasks cannot be trained yet."
+            )
+        if strangers := [f"--{n.replace('_', '-')}" for n in OF_REARRANGE if getattr(self, n) is not None]:
+            raise InputError(f"Options of rearrange, not of social_nav: {', '.join(strangers)}.")
         from h3data_training.ranks import torchrun_place
         from h3data_training.run import CHECKPOINT, describe, train
         from h3data_training.settings import recipe
 
         shown = None if self.observations is None else tuple(self.observations.split(","))
+        name = self.recipe or "tiny"
         settings = recipe(
-            self.recipe, minutes=self.minutes, updates=self.updates, scenes=self.scenes, worlds=self.worlds, hold=self.hold,
+            name, minutes=self.minutes, updates=self.updates, scenes=self.scenes, worlds=self.worlds, hold=self.hold,
             observations=shown, robot=self.robot, walk=self.walk, rollout=self.rollout, minibatches=self.minibatches,
             follow_steps=self.follow_steps,
         )  # fmt: skip
         first = None if self.init is None else _first(self.init)
         if first is not None:
             settings = settings.second_stage()
-        if self.stop_after is not None and not self.stop_after > 0:
-            raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
         if self.dry_run:
             data = {"settings": settings.as_dict(), "out": str(self.out), **_cost(settings)}
             return Outcome(text=f"{describe(settings)}\n{_plan(settings)}\nNothing has been done.", data=data)
@@ -124,9 +145,32 @@ class Train:
             )
         result = train(
             folder, settings, seed=self.seed, device=self.device, gpus=self.gpus, init=first, resume=self.resume,
-            stop_after=self.stop_after, name=self.recipe, say=_say,
+            stop_after=self.stop_after, name=name, say=say,
         )  # fmt: skip
         return Outcome(text=_summary(result), data=_data(result), result=result)
+
+    def _rearrange(self) -> Outcome:
+        strangers = [f"--{name.replace('_', '-')}" for name in OF_SOCIAL_NAV if getattr(self, name) is not None]
+        strangers += ["--device"] * (self.device != "cpu") + ["--gpus"] * (self.gpus != 1)
+        if strangers:
+            raise InputError(
+                f"Options of social_nav, not of rearrange, which learns on CPU cores: {', '.join(strangers)}."
+            )
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.")
+        from h3data_pipelines.learning.rearrangement import plan_rearrange, train_rearrange
+        from h3data_training.populations.settings import PopulationSettings
+
+        settings = PopulationSettings().changed(
+            population=self.population, minutes=self.minutes, updates=self.updates, scenes=self.scenes, robot=self.robot,
+            walk=self.walk,
+        )  # fmt: skip
+        if self.dry_run:
+            return plan_rearrange(self.out, settings, workers=self.workers)
+        return train_rearrange(
+            self.out, settings, seed=self.seed, workers=self.workers, resume=self.resume, force=self.force,
+            stop_after=self.stop_after, episodes_file=self.episodes_file,
+        )  # fmt: skip
 
 
 def _first(name: str) -> PicturedNetwork:
@@ -138,12 +182,6 @@ def _first(name: str) -> PicturedNetwork:
     if not isinstance(network, PicturedNetwork):
         raise InputError(f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.")
     return network
-
-
-def _say(line: str) -> None:
-    if not is_quiet():
-        sys.stderr.write(printable(line) + "\n")
-        sys.stderr.flush()
 
 
 def _cost(settings: Settings) -> dict[str, int]:

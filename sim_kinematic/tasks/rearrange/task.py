@@ -28,11 +28,13 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, commo
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
+from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
     POPULATIONS,
     ROBOT_POLICIES,
-    ZSC,
+    ZSC_TEN,
     partner_plan,
     partner_policy,
     planner,
@@ -78,8 +80,8 @@ class Rearrange(Task):
         "human": {"skill_names": DRIVEN_SKILLS, "action_names": ("forward", "turn_left")}
     }
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "robot": ROBOT_POLICIES,
-        "human": dict.fromkeys(PARTNERS, partner_policy),
+        "robot": {**ROBOT_POLICIES, **SHIPPED_IN["rearrange"]},
+        "human": dict.fromkeys((*PARTNERS, *SHIPPED_PARTNERS), partner_policy),
     }
     defaults: ClassVar[Mapping[str, str]] = {"robot": "complement", "human": "both"}
     cut_span: ClassVar[Mapping[str, Any]] = {"outcome": "running", "reason": ""}
@@ -183,6 +185,10 @@ class Rearrange(Task):
             policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
         else:
             policy, plan = robot_policy(name, objects), ""
+        if isinstance(policy, RecurrentChooser):
+            policy.seed = seed
+            if kind == "robot":
+                policy.require_body(episode.roster[number].model)
         return AssignedPolicy(policy, stamped(name), kind, plan)
 
     def check_policy(self, kind: str, name: str, spec: Any) -> None:
@@ -290,7 +296,7 @@ class Rearrange(Task):
             "policy": _robots_policy(policies),
             "partner": partner,
             "partner_plan": ",".join(p.plan for p in policies if p.plan),
-            "population": "zsc-pop" if partner in ZSC else "train-pop" if partner in POPULATIONS else "",
+            "population": "zsc-pop" if partner in ZSC_TEN else "train-pop" if partner in POPULATIONS else "",
         }
 
     def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:

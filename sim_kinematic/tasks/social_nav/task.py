@@ -25,7 +25,7 @@ from sim_kinematic.agents.waypoint_walker import HumanPlan
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.learned import SHIPPED, is_learned, navigation_of, network_of, stamped
+from sim_kinematic.policies.learned import SHIPPED_IN, is_learned, navigation_of, network_of, stamped
 from sim_kinematic.policies.maneuvering import Maneuvering
 from sim_kinematic.policies.policy import FunctionPolicy
 from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, policy_by_name
@@ -91,7 +91,7 @@ class SocialNav(Task):
         "metrics.facing": np.float32,
     }
     skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS}
-    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**POLICIES, **SHIPPED}}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**POLICIES, **SHIPPED_IN["social_nav"]}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "rollout_expert", "human": "waypoints"}
     env_defaults: ClassVar[Mapping[str, Any]] = {"spec": TRAINING}
     env_options: ClassVar[tuple[str, ...]] = ("reward",)

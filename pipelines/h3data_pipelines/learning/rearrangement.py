@@ -1,0 +1,108 @@
+"""``h3data train rearrange``: the upper layer of rearrangement beside a population of partners, on CPU cores."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from h3data.errors import InputError
+from h3data_pipelines.command import Outcome, claim_folder, counted
+from h3data_pipelines.learning.lines import say
+
+if TYPE_CHECKING:
+    from h3data_training.populations.settings import PopulationSettings
+    from h3data_training.running import Result
+
+CHECKPOINT_BYTES = 3 << 20
+"""About what a checkpoint takes for each learner, with its moments."""
+STEPS_PER_CPU_S = 900
+"""About what a core plays of two agents, learning included."""
+STEPS_PER_EPISODE = 600
+
+
+def plan_rearrange(out: Path, settings: PopulationSettings, *, workers: int | None) -> Outcome:
+    """What a run would do, and what it would cost."""
+    data = {"settings": settings.as_dict(), "out": str(out), **_cost(settings, workers)}
+    text = f"{json.dumps(settings.as_dict(), indent=1)}\n{_plan(settings, workers)}\nNothing has been done."
+    return Outcome(text=text, data=data)
+
+
+def train_rearrange(
+    out: Path, settings: PopulationSettings, *, seed: int, workers: int | None, resume: bool, force: bool,
+    stop_after: float | None, episodes_file: Path | None,
+) -> Outcome:  # fmt: skip
+    """Trains in a folder, as `h3data_training.populations.run.train`.
+
+    Raises:
+        InputError: the folder is not empty, or the disk is full.
+    """
+    from h3data_training.populations.run import CHECKPOINT, train
+
+    folder, needed = claim_folder(out, force=force or resume), 2 * CHECKPOINT_BYTES * len(settings.learners)
+    if force:
+        (folder / CHECKPOINT).unlink(missing_ok=True)
+    free = shutil.disk_usage(folder).free
+    if free < needed:
+        raise InputError(
+            f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
+        )
+    result = train(
+        folder, settings, seed=seed, workers=workers, resume=resume, stop_after=stop_after, episodes_file=episodes_file,
+        say=say,
+    )  # fmt: skip
+    return Outcome(text=_summary(result, settings), data=_data(result), result=result)
+
+
+def _cost(settings: PopulationSettings, workers: int | None) -> dict[str, float]:
+    """What a run takes, about."""
+    from h3data_training.populations.pool import default_workers
+
+    count = workers or default_workers()
+    seconds = settings.episodes * STEPS_PER_EPISODE / STEPS_PER_CPU_S
+    updates = settings.updates or 60 * settings.minutes * count / seconds
+    return {
+        "workers": count, "updates": round(updates), "episodes": round(updates) * settings.episodes,
+        "steps": round(updates) * settings.episodes * STEPS_PER_EPISODE, "cpu_s": round(updates * seconds),
+        "checkpoint_bytes": CHECKPOINT_BYTES * len(settings.learners),
+    }  # fmt: skip
+
+
+def _plan(settings: PopulationSettings, workers: int | None) -> str:
+    cost = _cost(settings, workers)
+    length = counted(settings.updates, "update") if settings.updates else f"{settings.minutes:g} minutes"
+    return (
+        f"{length} with {counted(int(cost['workers']), 'worker')}: {counted(len(settings.learners), 'learner')} "
+        f"({', '.join(settings.learners)}), about {cost['episodes']:.0f} episodes, {cost['steps'] / 1e6:.1f} M steps, "
+        f"{cost['cpu_s'] / 3600:.2f} CPU hours; drawing the episodes takes another {settings.episodes_per_home * 37 / 60:.0f} "
+        "minutes of a core for 37 homes where the file is not there."
+    )
+
+
+def _data(result: Result) -> dict[str, object]:
+    return {
+        "policy": str(result.folder / "policy.npz"), "done": result.done, "updates": result.updates,
+        "decisions": result.decisions, "seconds": result.seconds, "setup_s": result.setup_s, "last": result.last,
+    }  # fmt: skip
+
+
+def _summary(result: Result, settings: PopulationSettings) -> str:
+    row = result.last
+    figures = (
+        f"in the last update success {row['success']:.0%}, contact {row['collided']:.0%}, {row['steps_per_episode']:.0f} steps"
+        if row
+        else "no update"
+    )
+    lines = [
+        f"{counted(result.updates, 'update')}, {row.get('episodes', 0):.0f} episodes, {result.decisions / 1e3:.0f} k decisions "
+        f"in {result.seconds / 60:.1f} minutes (set-up {result.setup_s:.0f} s): {figures}.",
+        f"Policy: {result.folder / 'policy.npz'}",
+    ]
+    if partners := [name for name in settings.learners if name in settings.partners]:
+        lines.append(f"Partners: {', '.join(f'{name}.npz' for name in partners)}")
+    if not result.done:
+        lines.append("The run is not over. Hint: the same command with --resume goes on.")
+    else:
+        lines.append(f"Hint: h3data evaluate rearrange --policies weights:{result.folder / 'policy.npz'} -o table/")
+    return "\n".join(lines)

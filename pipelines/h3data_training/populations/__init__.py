@@ -1,0 +1,1 @@
+"""Rearrangement learned beside populations of partners (docs/populations.md)."""

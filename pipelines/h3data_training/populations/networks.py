@@ -1,0 +1,65 @@
+"""The chooser in PyTorch, with a critic that only training needs.
+
+`sim_kinematic.policies.choosers.chooser_network` is the same policy in NumPy.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from h3data_training.populations.settings import PopulationSettings
+from sim_kinematic.policies.choosers.chooser_network import SKILLS_WITH_OBJECT, input_lengths, rest_count
+
+PERSIST = 3.0
+"""At first, who is interrupted on their way goes on 9 times out of 10: else nobody would ever arrive."""
+AT_HAND, ASIDE = 1.0, -2.0
+"""First biases of picking and placing what one has come for, and of waiting and the primitives."""
+
+
+class Chooser(nn.Module):
+    """A recurrent actor, and a critic that is told who the partner is."""
+
+    def __init__(self, settings: PopulationSettings, *, agent: str, objects: int) -> None:
+        super().__init__()
+        s, (of_object, rest), others = settings, input_lengths(agent), rest_count(agent)
+        self.objects, self.others = objects, others
+        self.object = nn.Linear(of_object + objects, s.width)
+        self.gru = nn.GRU(rest + objects * s.width, s.hidden)
+        self.each_0, self.each_1 = nn.Linear(s.hidden + s.width, s.width), nn.Linear(s.width, SKILLS_WITH_OBJECT)
+        self.rest_0, self.rest_1 = nn.Linear(s.hidden + rest, s.width), nn.Linear(s.width, others)
+        self.persist = nn.Parameter(torch.full((1,), PERSIST))
+        told = objects * of_object + rest + len(s.partners)
+        self.worth = nn.Sequential(nn.Linear(told, 128), nn.ELU(), nn.Linear(128, 128), nn.ELU(), nn.Linear(128, 1))
+        with torch.no_grad():
+            for last in (self.each_1, self.rest_1):
+                last.weight.mul_(0.1)
+                last.bias.zero_()
+            self.each_1.bias[2:] = AT_HAND
+            self.rest_1.bias.fill_(ASIDE)
+
+    def forward(self, each: Tensor, rest: Tensor, state: Tensor) -> Tensor:
+        """Scores [T, B, C] for inputs [T, B, K, F] and [T, B, R] and states [B, H] before the first."""
+        numbers = torch.eye(self.objects, device=each.device).expand(*each.shape[:2], -1, -1)
+        things = F.relu(self.object(torch.cat([each, numbers], -1)))
+        known, _ = self.gru(torch.cat([rest, things.flatten(2)], -1), state[None])
+        beside = known[:, :, None].expand(-1, -1, self.objects, -1)
+        of_objects = self.each_1(F.relu(self.each_0(torch.cat([beside, things], -1))))
+        others = self.rest_1(F.relu(self.rest_0(torch.cat([known, rest], -1))))
+        interrupted = torch.cat(
+            [each[..., -SKILLS_WITH_OBJECT:].transpose(2, 3).flatten(2), rest[..., -self.others :]], -1
+        )
+        return torch.cat([of_objects.transpose(2, 3).flatten(2), others], -1) + self.persist * interrupted
+
+    def arrays(self) -> dict[str, Any]:
+        """The actor as `sim_kinematic.policies.choosers.chooser_network.ChooserNetwork` names its arrays, float32."""
+        named: dict[str, Tensor] = {"persist": self.persist}
+        for name in ("object", "each_0", "each_1", "rest_0", "rest_1"):
+            layer = getattr(self, name)
+            named |= {f"{name}.weight": layer.weight, f"{name}.bias": layer.bias}
+        for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
+            named[f"gru.{name}"] = getattr(self.gru, f"{name}_l0")
+        return {name: tensor.detach().float().contiguous().numpy().copy() for name, tensor in named.items()}

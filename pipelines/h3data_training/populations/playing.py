@@ -1,0 +1,250 @@
+"""Training episodes, played whole by processes that hold the homes: what learners saw, chose and gained.
+
+An episode follows from the weights, the seed and its number alone. So it does not matter which process plays it, and one that
+was lost is played again.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from itertools import pairwise
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
+from os import _exit
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import H3DataError
+from h3data_training.populations.settings import ROBOT
+from sim_kinematic.motion.randomness import episode_seed, generator
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork, Floats
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
+from sim_kinematic.policies.rearrange import planner
+from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.runner import run
+
+LOST_IN_A_ROW = 3
+"""Processes may be lost so often without an episode in between before a run gives up."""
+
+
+class Job(NamedTuple):
+    """One training episode to play."""
+
+    number: int
+    """Among all of the run."""
+    entry: int
+    """Which episode of the pool it is."""
+    partner: str
+    """A plan, or a learner by name."""
+    networks: Mapping[str, ChooserNetwork]
+    """Of the learners that play, by name."""
+    seed: int
+    """Of the run."""
+    gamma: float
+    """Discount of one simulated step."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Decisions:
+    """All D decisions of one learner in one episode."""
+
+    each: Floats
+    """Inputs of each object, [D, K, F] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
+    rest: Floats
+    """The other inputs, [D, R]."""
+    state: Floats
+    """Recurrent state before the decision, [D, H]."""
+    allowed: NDArray[np.bool_]
+    """[D, C]."""
+    chosen: NDArray[np.int64]
+    log_prob: Floats
+    gain: Floats
+    """Reward until the next decision, discounted to this one, [D]."""
+    discount: Floats
+    """Of what comes from the next decision on, [D]; 0 after the last: an episode ends for good, since its time is known."""
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Played:
+    """One training episode."""
+
+    partner: str
+    decisions: Mapping[str, Decisions]
+    """By learner."""
+    steps: int
+    ended: str
+    reward: float
+    placed: int
+    """Objects that the robot was the last to put at their goals,"""
+    at_goal: int
+    """of so many that are there."""
+
+
+class _Sampler(RecurrentChooser):
+    """Chooses at random by the scores, and keeps all it was shown."""
+
+    def __init__(self, network: ChooserNetwork, objects: int, *, robot: bool, rng: np.random.Generator) -> None:
+        super().__init__(network, objects, robot=robot)
+        self._rng = rng
+        self.rows: list[tuple[Any, ...]] = []
+        self.steps: list[int] = []
+
+    def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
+        log_probs = log_softmax(scores.astype(np.float64))
+        chosen = int(np.argmax(log_probs + self._rng.gumbel(size=len(scores))))
+        self.rows.append((each, rest, self.state, np.isfinite(scores), chosen, log_probs[chosen]))
+        self.steps.append(view.step)
+        return chosen
+
+    def decisions(self, rewards: Sequence[float], gamma: float) -> Decisions:
+        """What was decided, with what it gained; ``rewards`` are those of each simulated step."""
+        each, rest, state, allowed, chosen, log_prob = (np.array(column) for column in zip(*self.rows, strict=True))
+        gains, spans = discounted(np.array(rewards), self.steps, gamma)
+        return Decisions(
+            each=each, rest=rest, state=state, allowed=allowed, chosen=chosen, log_prob=log_prob.astype(np.float32),
+            gain=gains.astype(np.float32), discount=np.append(gamma ** spans[:-1], 0.0).astype(np.float32),
+        )  # fmt: skip
+
+
+def log_softmax(scores: Floats) -> Floats:
+    """Logarithms of the probabilities of scores [C]; minus infinity stays what it is."""
+    shifted = scores - scores.max()
+    return shifted - np.log(np.exp(shifted).sum())
+
+
+def discounted(rewards: Floats, steps: Sequence[int], gamma: float) -> tuple[Floats, NDArray[np.int64]]:
+    """Of decisions at some steps [D]: the reward of the steps until the next one, discounted to the first of them, and how many
+    steps that are; several decisions may be made at one step, then all but the last gain nothing."""
+    edges = np.append(steps, len(rewards))
+    gains = [float(rewards[a:b] @ gamma ** np.arange(b - a)) for a, b in pairwise(edges)]
+    return np.array(gains), np.diff(edges)
+
+
+def play_episode(job: Job, episode: RearrangeEpisode) -> Played:
+    """Plays one training episode."""
+    objects = len(episode.targets)
+    samplers: dict[str, _Sampler] = {}
+    policies = []
+    for kind, name in ((ROBOT, ROBOT), ("human", job.partner)):
+        if name in job.networks:
+            rng = generator(job.seed, f"choices/{name}", step=job.number)
+            samplers[name] = _Sampler(job.networks[name], objects, robot=kind == ROBOT, rng=rng)
+            policies.append(AssignedPolicy(samplers[name], name, kind))
+        else:
+            plan = planner(name, episode_seed(job.seed, job.number), objects)
+            policies.append(AssignedPolicy(plan, name, kind, name))
+    play, rewards = RearrangePlay(episode, policies), []
+    run(play, progress=lambda _: rewards.append(play.reward))
+    there = [name for name, at_goal in zip(play.objects.names, play.at_goal.tolist(), strict=True) if at_goal]
+    by = {event.target: event.agent for event in play.events if event.kind == "place"}
+    return Played(
+        partner=job.partner,
+        decisions={name: sampler.decisions(rewards, job.gamma) for name, sampler in samplers.items()},
+        steps=play.steps,
+        ended=play.ended,
+        reward=float(np.sum(rewards)),
+        placed=sum(by.get(name) == 0 for name in there),
+        at_goal=len(there),
+    )
+
+
+# --- processes ----------------------------------------------------------------------------------------------------------
+_EPISODES: Sequence[RearrangeEpisode] = ()
+"""Those of this process, as they were when it was forked."""
+
+
+class Players:
+    """Processes that play training episodes, or this one if there is one worker."""
+
+    def __init__(
+        self, episodes: Sequence[RearrangeEpisode], workers: int, *, say: Callable[[str], None] = lambda line: None
+    ) -> None:
+        global _EPISODES
+        _EPISODES = self._episodes = tuple(episodes)
+        self.workers, self._say = workers, say
+        self._pool: ProcessPoolExecutor | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of episodes to choose from."""
+        return len(self._episodes)
+
+    def play(self, jobs: Sequence[Job]) -> list[Played]:
+        """Plays some episodes, in their order; those that raise are left out.
+
+        Raises:
+            H3DataError: processes are lost again and again, or every episode raises.
+        """
+        played: dict[int, Played | str] = {}
+        lost = 0
+        while len(played) < len(jobs):
+            before = len(played)
+            missing = [job for job in jobs if job.number not in played]
+            try:
+                for job, result in zip(missing, self._results(missing), strict=True):
+                    played[job.number] = result
+            except BrokenProcessPool:
+                self.close()
+                lost = lost + 1 if len(played) == before else 1
+                if lost == LOST_IN_A_ROW:
+                    raise H3DataError(
+                        f"Processes that play were lost {lost} times without an episode in between: killed, or out of "
+                        "memory. The checkpoint is as it was. Hint: fewer --workers, then --resume."
+                    ) from None
+                self._say("a process that plays was lost; its episodes are played again")
+        faults = [f"episode {n}: {fault}" for n, fault in played.items() if isinstance(fault, str)]
+        for fault in faults:
+            self._say(f"left out {fault}")
+        if len(faults) == len(jobs):
+            raise H3DataError(f"No episode could be played: {faults[0]}")
+        return [result for job in jobs if isinstance(result := played[job.number], Played)]
+
+    def _results(self, jobs: Sequence[Job]) -> Any:
+        if self.workers == 1:
+            return map(_tried, jobs)
+        if self._pool is None:
+            global _EPISODES
+            _EPISODES = self._episodes
+            self._pool = ProcessPoolExecutor(self.workers, mp_context=get_context("fork"), initializer=_begin)
+        return self._pool.map(_tried, jobs)
+
+    def close(self) -> None:
+        """Ends the processes."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+
+def _begin() -> None:
+    """A process goes on through Ctrl-C, which reaches all of them, and ends with the one that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        _exit(1)
+
+
+def _tried(job: Job) -> Played | str:
+    try:
+        return play_episode(job, _EPISODES[job.entry])
+    except Exception as fault:  # one episode of thousands: the others count
+        return f"{type(fault).__name__}: {fault}"

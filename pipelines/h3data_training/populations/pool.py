@@ -1,0 +1,189 @@
+"""The episodes that a run plays again and again, drawn by several processes and kept in a file."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import zlib
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from h3data.errors import FormatError, InputError, SceneError
+from h3data.files import part_file
+from h3data.habitat.episodes.stored_rearrangements import StoredGoal
+from h3data.habitat.scene_names import named_scenes
+from h3data.progress import progress
+from h3data_training.populations.settings import LONGEST, PopulationSettings, rules_of
+from sim_kinematic.agents.roster import make_roster
+from sim_kinematic.motion.randomness import episode_seed
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
+from sim_kinematic.tasks.rearrange.storage import goal_record, target_of
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.social_nav.episode import Starts
+from sim_kinematic.tasks.sources import Home
+
+FORMAT = "h3data.pool/1"
+SEED = 1_000_003
+"""Of all pools: runs differ in what they make of the same episodes."""
+TRIES = 3
+"""Seeds of an episode that are tried in a home."""
+
+
+class PoolEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """One episode."""
+
+    home: str
+    walk: str
+    """How the person walks."""
+    seed: int
+    starts: list[list[float]]
+    """``(x, z, heading)`` of robot and person."""
+    goals: list[StoredGoal]
+
+
+class Pool(msgspec.Struct, frozen=True, kw_only=True):
+    """All episodes of a file, and what they were drawn by."""
+
+    format: str
+    drawn_by: dict[str, Any]
+    entries: list[PoolEntry]
+
+
+def drawn_by(settings: PopulationSettings) -> dict[str, Any]:
+    """The settings that decide which episodes there are."""
+    return {
+        "scenes": settings.scenes, "episodes_per_home": settings.episodes_per_home, "robot": settings.robot,
+        "human": settings.human, "walk": settings.walk,
+    }  # fmt: skip
+
+
+def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Pool:
+    """The episodes of a file; where there is none they are drawn, and it is written.
+
+    Raises:
+        FormatError: it is none, or damaged.
+        InputError: it was drawn by other settings.
+        SceneError: a home has no room for an episode.
+    """
+    if not file.exists():
+        pool = draw_pool(settings, workers=workers)
+        with part_file(file) as part:
+            part.write_bytes(gzip.compress(msgspec.json.encode(pool), mtime=0))
+        return pool
+    try:
+        pool = msgspec.json.decode(gzip.decompress(file.read_bytes()), type=Pool)
+        fits = pool.format == FORMAT and all(np.shape(e.starts) == (2, 3) and e.walk in LONGEST for e in pool.entries)
+    except (OSError, EOFError, zlib.error, ValueError) as fault:  # msgspec's are ValueErrors
+        raise FormatError(f"Expected a file of episodes ({FORMAT}), this is none ({fault}). File: {file}") from None
+    if not fits or not pool.entries:
+        raise FormatError(f"Expected a file of episodes {FORMAT}, got {pool.format}. File: {file}")
+    now = drawn_by(settings)
+    other = [f"{n}={pool.drawn_by.get(n)!r}, not {v!r}" for n, v in now.items() if pool.drawn_by.get(n) != v]
+    if other:
+        raise InputError(f"These episodes were drawn with {'; '.join(other)}. Hint: another file. File: {file}")
+    return pool
+
+
+def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
+    """Draws as many episodes in each home, in several processes; homes go by their size, the largest first."""
+    names = [named.name for named in named_scenes(settings.scenes)]
+    tasks = [(settings, name, k) for k, name in enumerate(names)]
+    found: dict[int, list[PoolEntry]] = {}
+    with progress(desc="episodes", total=len(tasks), unit="home", delay=1.0, leave=False) as done:
+
+        def add(made: Iterable[tuple[int, list[PoolEntry]]]) -> None:
+            for k, entries in made:
+                found[k] = entries
+                done.update()
+
+        if workers == 1:
+            add(map(_drawn, tasks))
+        else:
+            with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
+                add(pool.map(_drawn, reversed(tasks)))
+    entries = [entry for k in range(len(names)) for entry in found[k]]
+    if not entries:
+        raise SceneError(f"No home of {settings.scenes} has room for an episode.")
+    return Pool(format=FORMAT, drawn_by=drawn_by(settings), entries=entries)
+
+
+def _drawn(task: tuple[PopulationSettings, str, int]) -> tuple[int, list[PoolEntry]]:
+    settings, name, number = task
+    home = _home(name)
+    roster = make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
+    entries = []
+    for index in range(settings.episodes_per_home):
+        walk = settings.walks[index % len(settings.walks)]
+        for attempt in range(TRIES):
+            seed = episode_seed(episode_seed(SEED, number), index * TRIES + attempt)
+            try:
+                episode = Rearrange().sample(home.scene, home.free, seed, rules_of(walk), roster)
+            except SceneError:
+                continue  # a home may have room for fewer episodes
+            goals = [goal_record(target) for target in episode.targets]
+            places = episode.pair_starts.places.tolist()
+            entries.append(PoolEntry(home=name, walk=walk, seed=seed, starts=places, goals=goals))
+            break
+    return number, entries
+
+
+def episodes_of(pool: Pool, settings: PopulationSettings) -> list[RearrangeEpisode]:
+    """The episodes of a pool, ready to be played: homes are built here.
+
+    Raises:
+        InputError: a home is not there, or lacks an object.
+    """
+    roster = make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
+    homes: dict[str, Home] = {}
+    episodes = []
+    names = list(dict.fromkeys(entry.home for entry in pool.entries))
+    with progress(desc="homes", total=len(names), unit="home", delay=1.0, leave=False) as done:
+        for entry in pool.entries:
+            if entry.home not in homes:
+                homes[entry.home] = home = _home(entry.home)
+                home.free.geodesic(
+                    *np.array(entry.starts)[:, :2]
+                )  # what is built at first use is then shared by processes
+                done.update()
+            episodes.append(_episode(entry, homes[entry.home], settings, roster))
+    return episodes
+
+
+def _episode(entry: PoolEntry, home: Home, settings: PopulationSettings, roster: Any) -> RearrangeEpisode:
+    missing = {goal.object for goal in entry.goals} - {i.name for i in home.scene.instances}
+    if missing:
+        raise InputError(f"The home {entry.home} has no {sorted(missing)[0]}: the episodes are of another version.")
+    places = np.array(entry.starts, np.float64)
+    return RearrangeEpisode(
+        scene=home.scene, free=home.free, seed=entry.seed, spec=rules_of(entry.walk), roster=roster, starts=places,
+        targets=tuple(map(target_of, entry.goals)), pair=(settings.robot, settings.human), pair_starts=Starts.of(places),
+    )  # fmt: skip
+
+
+def _home(name: str) -> Home:
+    (named,) = named_scenes(name)
+    return Home(named.source, RearrangeSpec.agent_radius_m, RearrangeSpec.agent_height_m)
+
+
+def pool_order(size: int, seed: int, episode: int) -> int:
+    """Which entry a training episode plays: all of them once in random order, then again in another."""
+    from sim_kinematic.motion.randomness import generator
+
+    around, place = divmod(episode, size)
+    return int(generator(seed, "pool", step=around).permutation(size)[place])
+
+
+def default_workers() -> int:
+    """One process for each core that this one may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def homes_of(episodes: Sequence[RearrangeEpisode]) -> int:
+    """Number of different homes."""
+    return len({id(episode.scene) for episode in episodes})

@@ -1,0 +1,276 @@
+"""A run of rearrangement in a folder: episodes, processes that play, learners, learning curve, checkpoints, policy files."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from datetime import timedelta
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from h3data.errors import FormatError, InputError
+from h3data.files import part_file
+from h3data_training import checkpoints
+from h3data_training.curve import EventLog, save_curve
+from h3data_training.launch import Stop
+from h3data_training.populations.learner import ChooserLearner, plan_at
+from h3data_training.populations.playing import Job, Played, Players
+from h3data_training.populations.pool import default_workers, episodes_of, homes_of, pool_of, pool_order
+from h3data_training.populations.settings import ROBOT, PopulationSettings
+from h3data_training.running import SPARE_S, Result, Say, is_over, one_thread, share_of, stop_asked
+from sim_kinematic.policies.pictured import save_pictured
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+
+CHECKPOINT, POLICY, EPISODES = "checkpoint.pt", "policy.npz", "episodes.json.gz"
+FORMAT = "h3data.populations/1"
+
+
+def train(
+    folder: Path, settings: PopulationSettings, *, seed: int = 0, workers: int | None = None, resume: bool = False,
+    stop_after: float | None = None, checkpoint_s: float = 30.0, episodes_file: Path | None = None,
+    episodes: Sequence[RearrangeEpisode] | None = None, say: Say = lambda text: None,
+) -> Result:  # fmt: skip
+    """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
+
+    A run whose length is given in updates comes to the very same weights on any number of workers, interrupted or not.
+
+    Args:
+        folder: Of the run; it exists. `POLICY` (the robot), ``partner_0.npz``, ... (partners that learn), `CHECKPOINT` and the
+            learning curve (`h3data_training.curve`) appear there.
+        settings: What is trained.
+        seed: Everything random follows from it.
+        workers: Processes that play; None is one for each core. 1 plays here.
+        resume: Go on from the checkpoint in the folder, if there is one.
+        stop_after: Minutes of this call, set-up included; None: until the run is over.
+        checkpoint_s: Seconds between two checkpoints.
+        episodes_file: Of the episodes to play, which several runs may share; it is written where there is none. By default
+            `EPISODES` in the folder.
+        episodes: Those to play instead.
+        say: Told what goes on, in lines.
+
+    Raises:
+        InputError: a setting does not fit, or the checkpoint or the episodes are of other settings.
+        FormatError: the checkpoint, or the file of episodes, is damaged.
+        H3DataError: processes that play are lost again and again.
+    """
+    began = time.time()
+    count = workers or default_workers()
+    if count < 1:
+        raise InputError(f"Expected at least 1 worker, got {count}.")
+    kept = _kept(folder, settings, seed) if resume else None
+    with stop_asked() as stop:
+        if episodes is None:
+            file = episodes_file or folder / EPISODES
+            episodes = episodes_of(pool_of(settings, file, workers=count), settings)
+        say(f"{len(episodes)} episodes in {homes_of(episodes)} homes after {time.time() - began:.0f} s")
+        players = Players(episodes, count, say=say)
+        try:
+            with one_thread("cpu"):
+                run = _Run(folder, settings, seed, players, kept, began, say)
+                return run.go(stop, stop_after=stop_after, checkpoint_s=checkpoint_s)
+        finally:
+            players.close()
+
+
+def _kept(folder: Path, settings: PopulationSettings, seed: int) -> dict[str, Any] | None:
+    """The checkpoint to go on from."""
+    path = folder / CHECKPOINT
+    if not path.exists():
+        return None
+    kept = checkpoints.read(path, settings, seed, form=FORMAT)
+    if is_over(settings, kept["curve"], kept["seconds"], kept["setups_s"]):
+        raise InputError(
+            f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
+            f"Hint: give it more --minutes. Folder: {folder}"
+        )
+    return kept
+
+
+class _Run:
+    def __init__(
+        self, folder: Path, settings: PopulationSettings, seed: int, players: Players, kept: dict[str, Any] | None,
+        began: float, say: Say,
+    ) -> None:  # fmt: skip
+        self.folder, self.settings, self.seed, self.say = folder, settings, seed, say
+        self.players, self._began = players, began
+        self.learners = {name: ChooserLearner(settings, name, seed=seed) for name in settings.learners}
+        self.curve: list[dict[str, float]] = []
+        self.before_s = self.setups_s = 0.0
+        if kept is not None:
+            self._restore(kept)
+        self.events = EventLog(folder, self.curve)
+        self.players.play(self._jobs(0)[:1])  # code is compiled and loaded once, before there are several processes
+        self.setup_s = self.elapsed()
+        self.setups_s += self.setup_s
+        say(
+            f"{settings.population}: {len(self.learners)} learners, {players.workers} workers after {self.setup_s:.0f} s"
+        )
+
+    def elapsed(self) -> float:
+        """Seconds of this call."""
+        return time.time() - self._began
+
+    @property
+    def seconds(self) -> float:
+        """Of all calls."""
+        return self.before_s + self.elapsed()
+
+    @property
+    def share(self) -> float:
+        return share_of(self.settings, self.curve, self.seconds, self.setups_s)
+
+    def go(self, stop: Stop, *, stop_after: float | None, checkpoint_s: float) -> Result:
+        limit = float("inf") if stop_after is None else stop_after * 60 - SPARE_S / 2
+        saved = said = time.monotonic()
+        took = 0.0  # by the last update: one that would not end in time is not begun
+        while (self.share < 1 or not self.curve) and self.elapsed() + took < limit and not stop.is_set():
+            if time.monotonic() - saved > checkpoint_s and self.curve:
+                self._save(is_last=False)
+                saved = time.monotonic()
+            start = time.monotonic()
+            row = self._update(self.share)
+            if not all(map(isfinite, row.values())):
+                raise InputError(
+                    f"Training diverged in update {len(self.curve) + 1}: a number is not finite. The checkpoint is as it was. "
+                    f"Hint: another seed. Folder: {self.folder}"
+                )
+            self.curve.append(row)
+            now = time.monotonic()
+            took = now - start
+            if now - said > 10 or len(self.curve) == 1:
+                said = now
+                self.say(self._line())
+        self._save(is_last=True)
+        last = dict(self.curve[-1]) if self.curve else {}
+        return Result(
+            folder=self.folder, done=self.share >= 1, updates=len(self.curve), decisions=int(last.get("decisions", 0)),
+            seconds=self.seconds, setup_s=self.setup_s, last=last,
+        )  # fmt: skip
+
+    def _jobs(self, update: int) -> list[Job]:
+        """The episodes of an update."""
+        s = self.settings
+        networks = {name: learner.network() for name, learner in self.learners.items()}
+        jobs = []
+        for number in range(update * s.episodes, (update + 1) * s.episodes):
+            partner = s.partner_of(self.seed, number)
+            jobs.append(
+                Job(
+                    number=number, entry=pool_order(self.players.size, self.seed, number), partner=partner,
+                    networks={name: networks[name] for name in (ROBOT, partner) if name in networks}, seed=self.seed,
+                    gamma=1 - 1 / s.horizon,
+                )
+            )  # fmt: skip
+        return jobs
+
+    def _update(self, share: float) -> dict[str, float]:
+        """Plays the episodes of one update and learns from them; returns a row of the learning curve."""
+        update, start = len(self.curve), time.monotonic()
+        plan = plan_at(self.settings, share, update)
+        played = self.players.play(self._jobs(update))
+        playing_s = time.monotonic() - start
+        losses: dict[str, dict[str, float]] = {}
+        for name, learner in self.learners.items():
+            own = [(p.partner, p.decisions[name]) for p in played if name in p.decisions]
+            if own:
+                losses[name] = learner.update(own, plan, update=update)
+        before = self.curve[-1] if self.curve else {}
+        decisions = sum(len(d) for p in played for d in p.decisions.values())
+        steps = sum(p.steps for p in played)
+        row = {
+            "update": update + 1, "episodes": before.get("episodes", 0) + len(played),
+            "decisions": before.get("decisions", 0) + decisions, "steps": before.get("steps", 0) + steps,
+            "seconds": round(self.seconds, 2), **_outcome(played), **losses[ROBOT],
+            **_others({name: row for name, row in losses.items() if name != ROBOT}), "rate": plan.rate,
+            "playing_share": playing_s / (time.monotonic() - start), "steps_per_s": steps / (time.monotonic() - start),
+        }  # fmt: skip
+        return {name: float(value) for name, value in row.items()}
+
+    def _line(self) -> str:
+        row, share = self.curve[-1], self.share
+        spent = self.seconds - self.setups_s
+        left = timedelta(seconds=round(spent * (1 - share) / share)) if share > 0 else "?"
+        recent = self.curve[-10:]
+        mean = {
+            name: float(np.mean([r[name] for r in recent])) for name in ("success", "collided", "steps_per_episode")
+        }
+        return (
+            f"{share:.0%}  update {row['update']:.0f}  {row['episodes']:.0f} episodes  reward {row['reward']:.1f}  last ten: "
+            f"success {mean['success']:.0%}  collided {mean['collided']:.0%}  {mean['steps_per_episode']:.0f} steps  "
+            f"{row['steps_per_s']:.0f} steps/s  {left} left"
+        )
+
+    # --- files ------------------------------------------------------------------------------------------------------------
+    def _restore(self, kept: dict[str, Any]) -> None:
+        try:
+            for name, learner in self.learners.items():
+                learner.net.load_state_dict(kept["learners"][name]["net"])
+                learner.optimizer.load_state_dict(kept["learners"][name]["optimizer"])
+            self.curve, self.before_s, self.setups_s = kept["curve"], kept["seconds"], kept["setups_s"]
+        except (KeyError, RuntimeError, ValueError) as fault:
+            reason = str(fault).splitlines()[0]
+            raise FormatError(f"The checkpoint does not fit ({reason}). File: {self.folder / CHECKPOINT}") from None
+
+    def _save(self, *, is_last: bool) -> None:
+        """Checkpoint, curve and policies, each whole or not at all. A disk that is full ends the run only at its end."""
+        kept = {
+            "format": FORMAT, "settings": self.settings.as_dict(), "seed": self.seed, "curve": self.curve,
+            "seconds": self.seconds, "setups_s": self.setups_s,
+            "learners": {
+                name: {"net": learner.net.state_dict(), "optimizer": learner.optimizer.state_dict()}
+                for name, learner in self.learners.items()
+            },
+        }  # fmt: skip
+        try:
+            with part_file(self.folder / CHECKPOINT) as part:
+                torch.save(kept, part)
+            if self.curve:
+                save_curve(self.curve, self.folder)
+                self.events.write(self.curve)
+            training = self._training()
+            for name, learner in self.learners.items():
+                save_pictured(learner.network(training), self.folder / (POLICY if name == ROBOT else f"{name}.npz"))
+        except (OSError, RuntimeError) as fault:  # torch reports a full disk as RuntimeError
+            if is_last:
+                raise OSError(f"The run could not be saved ({fault}). Folder: {self.folder}") from fault
+            self.say(f"could not save ({fault}); training goes on, the last checkpoint is as it was")
+
+    def _training(self) -> dict[str, Any]:
+        """What the cards say of how the policies came about."""
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            own = version("h3data")
+        except PackageNotFoundError:  # a source tree on PYTHONPATH
+            own = "source"
+        last = self.curve[-1] if self.curve else {}
+        shown = ("reward", "success", "collided", "steps_per_episode", "robot_share")
+        return {
+            "population": self.settings.population, "seed": self.seed, "updates": len(self.curve),
+            **{name: int(last.get(name, 0)) for name in ("episodes", "decisions", "steps")},
+            "seconds": round(self.seconds, 1), "workers": self.players.workers, "device": "cpu",
+            "torch": str(torch.__version__), "h3data": own, "settings": self.settings.as_dict(),
+            "last_update": {name: round(last[name], 4) for name in shown if name in last},
+        }  # fmt: skip
+
+
+def _outcome(played: Sequence[Played]) -> dict[str, float]:
+    """What the episodes of an update came to, on average."""
+    there = sum(p.at_goal for p in played)
+    return {
+        "reward": float(np.mean([p.reward for p in played])),
+        "success": float(np.mean([p.ended == "success" for p in played])),
+        "collided": float(np.mean([p.ended == "collision" for p in played])),
+        "steps_per_episode": float(np.mean([p.steps for p in played])),
+        "robot_share": sum(p.placed for p in played) / max(there, 1),
+    }
+
+
+def _others(losses: dict[str, dict[str, float]]) -> dict[str, float]:
+    """Of partners that learn, on average."""
+    names = ("value_loss", "entropy", "kl", "clipped", "explained", "gradient_steps")
+    return {f"partners_{n}": float(np.mean([row[n] for row in losses.values()])) for n in names} if losses else {}

@@ -1,0 +1,130 @@
+"""What a run of rearrangement does, as one frozen record, and who learns in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from h3data.errors import InputError, did_you_mean
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.motion.spec import WALKERS
+from sim_kinematic.policies.rearrange import POPULATIONS
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+
+ROBOT = "robot"
+"""The learner that every population has."""
+LEARNED = {"learn_single": 1, "learn_pop": 8}
+"""Populations whose partners learn, and how many there are (paper section 4.2)."""
+NAMES = ("learn_single", *POPULATIONS, "learn_pop")
+"""The paper's populations."""
+LONGEST = {"paper": 750, "natural": 1500}
+"""Length of an episode by how people walk: that of the paper, and ours, whose people walk at 1.3 m/s."""
+BOTH = "both"
+"""People walk like this in one half of the episodes and like that in the other."""
+
+
+def rules_of(walk: str) -> RearrangeSpec:
+    """The rules of episodes in which people walk like this, with the paper's reward."""
+    return RearrangeSpec(max_steps=LONGEST[walk], human=WALKERS[walk])
+
+
+@dataclass(frozen=True, kw_only=True)
+class PopulationSettings:
+    """Settings of one run. Rates are linear in progress, 0 at the start and 1 at the end of the run."""
+
+    population: str = "plan_pop_3"
+    scenes: str = "h3-homes/train"
+    episodes_per_home: int = 8
+    """Episodes are drawn once and played again and again, beside other partners: drawing one costs more than playing it."""
+    robot: str = "quad_arm"
+    human: str = "female_0"
+    walk: str = BOTH
+    """How people walk: ``natural``, in episodes of 1,500 steps, ``paper`` (2.5 m/s, 750 steps), or ``both``: each in one half
+    of the episodes, for a robot that plays beside either."""
+    think_steps: int = 30
+    """A learner on its way thinks again after so many steps."""
+
+    episodes: int = 32
+    """Episodes of an update."""
+    hidden: int = 64
+    """Size of the recurrent state."""
+    width: int = 64
+    """Of the other layers."""
+    chunk: int = 16
+    """Decisions through which a gradient goes back."""
+    critic_updates: int = 2
+    """At first only the critic learns: as long as it knows nothing, what it calls an advantage is noise."""
+    epochs: int = 8
+    chunks_per_minibatch: int = 12
+    kl_most: float = 0.02
+    """No further epoch once the policy has moved this far from the one that played."""
+    rate: float = 1e-3
+    rate_end: float = 0.1
+    """Share of the learning rate that is left at the end."""
+    entropy: float = 0.005
+    entropy_end: float = 0.2
+    """Share of the weight of the entropy that is left at the end."""
+    horizon: float = 500.0
+    """Steps that the value looks ahead; a decision that takes d steps is discounted by (1 - 1 / horizon)^d."""
+    gae_lambda: float = 0.95
+    clip: float = 0.2
+    gradient_norm: float = 0.5
+    reward_scale: float = 0.1
+
+    updates: int = 0
+    """Length of the run in updates; 0: ``minutes`` decides."""
+    minutes: float = 30.0
+    """Length of the run, set-up included."""
+
+    def __post_init__(self) -> None:
+        if self.population not in NAMES:
+            raise InputError(
+                f"Unknown population {self.population!r}.{did_you_mean(self.population, NAMES)} Expected one of: "
+                f"{', '.join(NAMES)}."
+            )
+        if self.walk not in (*LONGEST, BOTH):
+            raise InputError(f"Unknown walk {self.walk!r}. Expected one of: {', '.join((*LONGEST, BOTH))}.")
+        whole = (
+            "episodes_per_home", "think_steps", "episodes", "hidden", "width", "chunk", "epochs", "chunks_per_minibatch",
+        )  # fmt: skip
+        for name in whole:
+            if getattr(self, name) < 1:
+                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
+        if self.critic_updates < 0 or self.horizon <= 1:
+            raise InputError(
+                f"Expected critic_updates >= 0 and a horizon above 1, got {self.critic_updates} and {self.horizon}."
+            )
+        if self.updates < 0 or not math.isfinite(self.minutes) or self.minutes <= 0:
+            raise InputError(f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.")
+
+    @property
+    def walks(self) -> tuple[str, ...]:
+        """Those that take turns in a home."""
+        return tuple(LONGEST) if self.walk == BOTH else (self.walk,)
+
+    @property
+    def partners(self) -> tuple[str, ...]:
+        """Who may be beside the robot: plans, or learners by name."""
+        if self.population in POPULATIONS:
+            return POPULATIONS[self.population]
+        return tuple(f"partner_{k}" for k in range(LEARNED[self.population]))
+
+    @property
+    def learners(self) -> tuple[str, ...]:
+        """Who learns: the robot, and partners that are not planners."""
+        return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
+
+    def partner_of(self, seed: int, episode: int) -> str:
+        """The partner in a training episode: in every P consecutive ones each of P partners once, in random order."""
+        block, place = divmod(episode, len(self.partners))
+        order = generator(seed, f"partners/{self.population}", step=block).permutation(len(self.partners))
+        return self.partners[int(order[place])]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, as they stand in checkpoints and cards."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def changed(self, **changes: Any) -> PopulationSettings:
+        """The same with some settings changed; None changes nothing."""
+        return replace(self, **{k: v for k, v in changes.items() if v is not None})

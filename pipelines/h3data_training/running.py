@@ -1,0 +1,93 @@
+"""What training runs of all kinds share: how long they are, how they are stopped, what they come to."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+
+SPARE_S = 10.0
+"""Kept at the end of a run of so many minutes, for the last update and the files."""
+
+Say = Callable[[str], None]
+
+
+class Length(Protocol):
+    """Settings that say how long a run is."""
+
+    @property
+    def updates(self) -> int: ...
+    @property
+    def minutes(self) -> float: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What a call of `train` came to."""
+
+    folder: Path
+    done: bool
+    """The run is over; else it goes on from the checkpoint."""
+    updates: int
+    decisions: int
+    seconds: float
+    """Of all calls, set-up included."""
+    setup_s: float
+    """Of this call."""
+    last: dict[str, float]
+    """Last row of the learning curve."""
+
+
+def share_of(settings: Length, curve: list[Any], seconds: float, setups_s: float) -> float:
+    """Progress, 0..1: by updates where their number is given, else by the time spent learning."""
+    if settings.updates:
+        return min(len(curve) / settings.updates, 1.0)
+    return min(max((seconds - setups_s) / max(settings.minutes * 60 - setups_s - SPARE_S, 1e-9), 0.0), 1.0)
+
+
+def is_over(settings: Length, curve: list[Any], seconds: float, setups_s: float) -> bool:
+    """Whether nothing is left to do."""
+    return share_of(settings, curve, seconds, setups_s) >= 1
+
+
+@contextmanager
+def stop_asked() -> Iterator[threading.Event]:
+    """Set by Ctrl-C or SIGTERM, so that an update is finished and saved; a second one ends the process at once."""
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+
+    def ask(number: int, frame: Any) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, ask)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def one_thread(device: str) -> Iterator[None]:
+    """On the CPU, one thread: the tensors are small, and beside other work several threads wait for each other most of the
+    time (145 decisions a second instead of 6,000)."""
+    threads = torch.get_num_threads()
+    if device == "cpu":
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

@@ -1,0 +1,1 @@
+"""Learned policies of the upper layer of rearrangement that remember."""

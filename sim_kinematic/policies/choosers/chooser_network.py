@@ -1,0 +1,232 @@
+"""A recurrent network that scores what an agent of rearrangement can choose, in a file of plain arrays.
+
+``objects -> shared layer -> GRU(all objects, the rest) -> a score for each skill with each object, and for what has no
+object``. All objects go through the same weights, with their number as one of the inputs: what is learned about one holds for
+the other, and yet a policy may keep to one of them. `h3data_training.populations.networks` is the same in PyTorch.
+
+The file is that of `sim_kinematic.policies.pictured`: arrays and a card, nothing in it is executed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from sim_kinematic.agents.skills import PRIMITIVES
+from sim_kinematic.policies.pictured import PolicyCard, affine
+
+Floats = NDArray[np.floating]
+KIND = "gru_chooser"
+SKILLS_WITH_OBJECT = 4
+"""``nav_to_object``, ``nav_to_goal``, ``pick`` and ``place``, the first of `sim_kinematic.agents.skills.choices`."""
+OBSERVATIONS = (
+    "obj_gps_compass", "obj_goal_gps_compass", "way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals",
+    "other_approach", "holds", "held_by_other", "at_goal", "other_gps_compass", "close", "elapsed_s", "last_done",
+    "last_failed", "interrupted",
+)  # fmt: skip
+"""What a chooser is shown, in this order (`sim_kinematic.policies.rearrange_observations.SENSES`)."""
+
+
+class Encoding(NamedTuple):
+    """How the numbers of an observation become inputs."""
+
+    of: Callable[[Floats], Floats]
+    """Units [n, given] -> [n, length]."""
+    given: int
+    length: int
+    is_of_objects: bool
+
+
+def _polar(seen: Floats) -> Floats:
+    d, a = seen[:, 0], seen[:, 1]
+    return np.stack([d / 5, np.exp(-d), np.cos(a), np.sin(a)], 1)
+
+
+def _length(seen: Floats) -> Floats:
+    return np.concatenate([np.minimum(seen, 30.0) / 10, np.exp(-seen / 2)], 1)
+
+
+def _plain(seen: Floats) -> Floats:
+    return seen
+
+
+ENCODINGS: Mapping[str, Encoding] = {
+    **dict.fromkeys(("obj_gps_compass", "obj_goal_gps_compass"), Encoding(_polar, 2, 4, True)),
+    **dict.fromkeys(
+        ("way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals"), Encoding(_length, 1, 2, True)
+    ),
+    **dict.fromkeys(("other_approach", "holds", "held_by_other", "at_goal"), Encoding(_plain, 1, 1, True)),
+    "other_gps_compass": Encoding(_polar, 2, 4, False),
+    "close": Encoding(_plain, 1, 1, False),
+    "elapsed_s": Encoding(lambda seen: seen / 50, 1, 1, False),
+}
+"""Of the observations that are not one of the choices."""
+
+
+def rest_count(agent: str) -> int:
+    """How many choices have no object: ``wait`` and a robot's primitives."""
+    return 1 + (len(PRIMITIVES) if agent == "robot" else 0)
+
+
+def input_lengths(agent: str) -> tuple[int, int]:
+    """Lengths of the inputs of one object, without its number, and of the rest."""
+    of_object = sum(e.length for e in ENCODINGS.values() if e.is_of_objects)
+    rest = sum(e.length for e in ENCODINGS.values() if not e.is_of_objects)
+    choosing = sum(name not in ENCODINGS for name in OBSERVATIONS)
+    return of_object + choosing * SKILLS_WITH_OBJECT, rest + choosing * rest_count(agent)
+
+
+def encoded(shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int) -> tuple[Floats, Floats]:
+    """Inputs of each object [K, F] and the rest [R], float32, from observations by name; the last columns of both tell which
+    choice has been interrupted.
+
+    Raises:
+        InputError: an observation is missing or has another length.
+    """
+    each, rest = [], []
+    for name in OBSERVATIONS:
+        encoding = ENCODINGS.get(name)
+        own = SKILLS_WITH_OBJECT * objects
+        length = (
+            own + rest_count(agent) if encoding is None else encoding.given * (objects if encoding.is_of_objects else 1)
+        )
+        seen = np.asarray(shown.get(name, ()), np.float32)
+        if seen.shape != (length,):
+            raise InputError(f"Expected the observation {name} [{length}], got {list(seen.shape)}.")
+        if encoding is None:
+            each.append(seen[:own].reshape(SKILLS_WITH_OBJECT, objects).T)
+            rest.append(seen[own:])
+        elif encoding.is_of_objects:
+            each.append(encoding.of(seen.reshape(objects, encoding.given)))
+        else:
+            rest.append(encoding.of(seen[None])[0])
+    return np.concatenate(each, 1).astype(np.float32), np.concatenate(rest).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChooserNetwork:
+    """The weights of one policy and what they are for."""
+
+    card: PolicyCard
+    arrays: Mapping[str, Floats]
+    """By name as in the file: weight and bias of ``object``, ``each_0``, ``each_1`` [4, n], ``rest_0`` and ``rest_1``, those of
+    ``gru`` [3 H, ...], and ``persist`` [1], what is added to the score of the choice that was interrupted."""
+    kind: ClassVar[str] = KIND
+
+    def __post_init__(self) -> None:
+        faults = _faults(self.card, self.arrays)
+        if faults:
+            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.")
+
+    @property
+    def task(self) -> str:
+        return self.card.task
+
+    @property
+    def observations(self) -> tuple[str, ...]:
+        return self.card.observations
+
+    @property
+    def outputs(self) -> int:
+        """Number of choices."""
+        return SKILLS_WITH_OBJECT * self.card.objects + rest_count(self.card.agent)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all that decides what it does."""
+        card = self.card
+        found = sha256(repr((card.task, card.network, card.agent, card.objects, card.observations, card.hold)).encode())
+        for name, array in sorted(self.arrays.items()):
+            found.update(f"{name}{array.shape}".encode() + array.tobytes())
+        return found.hexdigest()
+
+    def start(self) -> Floats:
+        """The recurrent state at the start of an episode, [H]."""
+        return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
+
+    def __call__(self, each: Floats, rest: Floats, state: Floats) -> tuple[Floats, Floats]:
+        """Scores of all choices and the next state [H], for inputs of `encoded` and the state [H]."""
+        count = len(each)
+        things = _rectified(self._layer("object", np.concatenate([each, np.eye(count, dtype=np.float32)], 1)))
+        given = self._layer("gru", np.concatenate([rest, things.ravel()]), "_ih")
+        (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(self._layer("gru", state, "_hh"), 3)
+        reset, update = _sigmoid(r + kr), _sigmoid(z + kz)
+        state = ((1 - update) * np.tanh(n + reset * kn) + update * state).astype(np.float32)
+        known = np.concatenate([np.broadcast_to(state, (count, len(state))), things], 1)
+        of_objects = self._layer("each_1", _rectified(self._layer("each_0", known)))
+        others = self._layer("rest_1", _rectified(self._layer("rest_0", np.concatenate([state, rest]))))
+        interrupted = np.concatenate([each[:, -SKILLS_WITH_OBJECT:].T.ravel(), rest[-len(others) :]])
+        scores = np.concatenate([of_objects.T.ravel(), others]) + self.arrays["persist"][0] * interrupted
+        return scores.astype(np.float32), state
+
+    @cached_property
+    def _columns(self) -> dict[str, Floats]:
+        """The weights by name, [in, out]."""
+        return {n: np.ascontiguousarray(a.T, np.float32) for n, a in self.arrays.items() if ".weight" in n}
+
+    def _layer(self, name: str, x: Floats, kind: str = "") -> Floats:
+        """Outputs [out] or [n, out] of a linear layer for inputs [in] or [n, in]."""
+        rows = np.ascontiguousarray(np.atleast_2d(x), np.float32)
+        out = affine(rows, self._columns[f"{name}.weight{kind}"], self.arrays[f"{name}.bias{kind}"].astype(np.float32))
+        return out if x.ndim == 2 else out[0]
+
+
+def _rectified(x: Floats) -> Floats:
+    return np.maximum(x, 0)
+
+
+def _sigmoid(x: Floats) -> Floats:
+    return 0.5 * (np.tanh(0.5 * x) + 1)
+
+
+def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
+    """Of all arrays, by name, with the widths that those at hand have."""
+
+    def width(name: str) -> int:
+        return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
+
+    of_object, rest = input_lengths(card.agent)
+    wide, hidden = width("object.weight"), width("gru.weight_ih") // 3
+    each, other = width("each_0.weight"), width("rest_0.weight")
+    layers = {
+        "object": (wide, of_object + card.objects), "each_0": (each, hidden + wide), "each_1": (SKILLS_WITH_OBJECT, each),
+        "rest_0": (other, hidden + rest), "rest_1": (rest_count(card.agent), other),
+    }  # fmt: skip
+    found: dict[str, tuple[int, ...]] = {f"{name}.weight": shape for name, shape in layers.items()}
+    found |= {f"{name}.bias": shape[:1] for name, shape in layers.items()}
+    return found | {
+        "gru.weight_ih": (3 * hidden, rest + card.objects * wide), "gru.weight_hh": (3 * hidden, hidden),
+        "gru.bias_ih": (3 * hidden,), "gru.bias_hh": (3 * hidden,), "persist": (1,),
+    }  # fmt: skip
+
+
+def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
+    """Everything that does not fit together, in words."""
+    if card.network != KIND:
+        return [f"unknown network {card.network!r}, expected {KIND}"]
+    if card.agent not in ("robot", "human"):
+        return [f"it is for the agent {card.agent!r}, expected robot or human"]
+    if card.observations != OBSERVATIONS:
+        return [f"it is shown {', '.join(card.observations) or 'nothing'}, expected {', '.join(OBSERVATIONS)}"]
+    if not 1 <= card.objects <= 16:
+        return [f"it knows {card.objects} objects, expected 1 to 16"]
+    if not 1 <= card.hold <= 3000:
+        return [f"it thinks again after {card.hold} steps, expected 1 to 3000"]
+    expected = shapes(card, arrays)
+    faults = [f"the array {name} is missing" for name in expected if name not in arrays]
+    faults += [f"unknown array {name}" for name in arrays if name not in expected]
+    for name, array in arrays.items():
+        if name in expected and array.shape != expected[name]:
+            faults.append(f"{name} has the shape {list(array.shape)}, expected {list(expected[name])}")
+        if array.dtype != np.float32:
+            faults.append(f"{name} is {array.dtype}, expected float32")
+        elif not np.isfinite(array).all():
+            faults.append(f"{name} holds numbers that are not finite")
+    return faults

@@ -1,0 +1,109 @@
+"""Plays a `ChooserNetwork`: what may be chosen, when to think again, and the best of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError
+from sim_kinematic.agents.skills import Action, choices
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, ChooserNetwork, Floats, encoded
+from sim_kinematic.policies.rearrange_observations import observe
+from sim_kinematic.policies.views import RearrangeView
+
+CLOSE_STEPS = 15
+"""After so many steps a running walk is thought over while the other agent is close."""
+
+
+class RecurrentChooser:
+    """Chooses among the actions that are `allowed` as in training: at random by their scores, with random numbers that follow
+    from the episode's seed. Always the best would be worse: who turns to the left and then to the right does so for good. The
+    recurrent state is its own, so there is one for each episode.
+
+    On its way it thinks again every second, twice a second while the other agent is close, and at once when the other has
+    taken what it is going for. It goes on by choosing the same.
+    """
+
+    def __init__(self, network: ChooserNetwork, objects: int = 2, *, robot: bool = True) -> None:
+        """
+        Args:
+            network: The policy.
+            objects: Of the task.
+            robot: Whether a robot is played, or a person.
+
+        Raises:
+            FormatError: the network is for another task, another number of objects or the other agent.
+        """
+        card, agent = network.card, "robot" if robot else "human"
+        if card.task != "rearrange":
+            raise FormatError(f"Expected weights for the task rearrange, these are for {card.task!r}.")
+        if card.agent != agent:
+            raise FormatError(f"Expected weights for a {agent}, these are for a {card.agent}.")
+        if card.objects != objects:
+            raise FormatError(f"These weights know {card.objects} objects, the episode has {objects}.")
+        self.network = network
+        self.choices = choices(objects, robot=robot)
+        self.state = network.start()
+        self.seed = 0
+        """Of the episode."""
+        self._thought, self._times = 0, 0
+
+    def require_body(self, body: str) -> None:
+        """Refuses another robot than the one that it was trained with.
+
+        Raises:
+            FormatError: it is another.
+        """
+        if body != self.network.card.robot:
+            raise FormatError(f"These weights drive the robot {self.network.card.robot}, the episode has {body}.")
+
+    def act(self, view: RearrangeView) -> Action:
+        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""
+        shown = observe(view, OBSERVATIONS)
+        each, rest = encoded(shown, agent=self.network.card.agent, objects=self.network.card.objects)
+        scores, state = self.network(each, rest, self.state)
+        self._times = self._times + 1 if view.step == self._thought else 0  # several choices may be made in one step
+        number = self.choose(view, each, rest, np.where(allowed(view, self.choices), scores, -np.inf))
+        self.state, self._thought = state, view.step
+        return self.choices[number]
+
+    def choose(self, view: RearrangeView, each: Floats, rest: Floats, scores: Floats) -> int:
+        """The number of a choice, given the inputs of the network and its scores, minus infinity for what is not allowed."""
+        rng = generator(self.seed, f"choices/{view.agent}", world=self._times, step=view.step)
+        return int(np.argmax(scores + rng.gumbel(size=len(scores))))
+
+    def interrupts(self, view: RearrangeView) -> str:
+        """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""
+        action = view.action
+        if action is None or action.skill not in ("nav_to_object", "nav_to_goal"):
+            return ""
+        if action.skill == "nav_to_object" and view.held_by[action.target] not in (NOBODY, view.agent):
+            return "object_taken"
+        since = view.step - self._thought
+        if view.close and since >= CLOSE_STEPS:
+            return "agents_close"
+        return "replanned" if since >= self.network.card.hold else ""
+
+
+def allowed(view: RearrangeView, known: Sequence[Action]) -> NDArray[np.bool_]:
+    """Which choices make sense to try, [C]: with an empty hand, to go for what lies about and is not at its goal; to go to the
+    goal of what the hand holds; not again to where one has just arrived, but to pick or to place there, and to go on with what
+    has been begun; what has no object always."""
+    held, empty = view.held_by, not (view.held_by == view.agent).any()
+    free = (held == NOBODY) & ~view.at_goal
+    done = view.action if view.last is not None and view.last.outcome == "done" else None
+    begun = view.action if view.last is not None and view.last.outcome == "aborted" else None
+    found = np.ones(len(known), np.bool_)
+    for number, (skill, k, *_) in enumerate(known):
+        if k < 0:
+            continue
+        came = {"pick": "nav_to_object", "place": "nav_to_goal"}.get(skill, skill)
+        arrived = done is not None and (done.skill, done.target) == (came, k)
+        going_on = begun is not None and (begun.skill, begun.target) == (skill, k)
+        may = empty and free[k] if came == "nav_to_object" else held[k] == view.agent
+        found[number] = may and (arrived != (skill == came) or going_on)
+    return found

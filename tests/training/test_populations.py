@@ -1,0 +1,527 @@
+"""Rearrangement learned beside populations: fair draws, masks, parity, learning, exact resume, lost processes, files."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from h3data.errors import FormatError, H3DataError, InputError
+from h3data_pipelines.cli import main
+from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
+from h3data_training.curve import curve_of
+from h3data_training.populations import learner as learning
+from h3data_training.populations import playing
+from h3data_training.populations import run as runs
+from h3data_training.populations.learner import ChooserLearner, plan_at
+from h3data_training.populations.networks import Chooser
+from h3data_training.populations.playing import Decisions, Job, Players, discounted
+from h3data_training.populations.pool import draw_pool, episodes_of, pool_of, pool_order
+from h3data_training.populations.run import CHECKPOINT, POLICY, train
+from h3data_training.populations.settings import NAMES, ROBOT, PopulationSettings
+from sim_kinematic.agents.skills import choices
+from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork, encoded, input_lengths, rest_count
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser, allowed
+from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, network_of
+from sim_kinematic.policies.pictured import save_pictured
+from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, robot_policy
+from sim_kinematic.policies.rearrange_observations import limits
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.registry import find_task
+from sim_kinematic.tasks.runner import run
+
+DRAWN = PopulationSettings(scenes="h3-homes/train#0", episodes_per_home=2)
+"""Of the episodes; tests cut them short, which has no effect on how they begin."""
+SMALL = replace(
+    DRAWN, population="learn_single", episodes=3, updates=3, hidden=8, width=8, chunk=4, epochs=2, chunks_per_minibatch=4,
+    critic_updates=1,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory: Any) -> Path:
+    file = tmp_path_factory.mktemp("pool") / "episodes.json.gz"
+    pool_of(DRAWN, file)
+    return file
+
+
+@pytest.fixture(scope="module")
+def episodes(pool: Path) -> list[RearrangeEpisode]:
+    drawn = episodes_of(pool_of(DRAWN, pool), DRAWN)
+    return [replace(episode, spec=replace(episode.spec, max_steps=90)) for episode in drawn]
+
+
+@pytest.fixture(scope="module")
+def whole(episodes: Sequence[RearrangeEpisode], tmp_path_factory: Any) -> Path:
+    """A run of three updates."""
+    folder = tmp_path_factory.mktemp("whole")
+    said: list[str] = []
+    result = train(folder, SMALL, workers=1, episodes=episodes, say=said.append)
+    assert result.done
+    assert result.updates == 3
+    assert any("update 1 " in line and "steps/s" in line for line in said)
+    return folder
+
+
+def chooser(name: str = ROBOT, *, seed: int = 0, **changes: Any) -> ChooserNetwork:
+    """An untrained policy."""
+    return ChooserLearner(replace(SMALL, **changes), name, seed=seed).network()
+
+
+def arrays(folder: Path, name: str = POLICY) -> dict[str, np.ndarray]:
+    network = network_of(f"weights:{folder / name}")
+    assert isinstance(network, ChooserNetwork)
+    return dict(network.arrays)
+
+
+def same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
+    return a.keys() == b.keys() and all(np.array_equal(a[n], b[n]) for n in a)
+
+
+# --- who plays ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("population", NAMES)
+def test_every_partner_plays_as_often(population: str) -> None:
+    settings = replace(SMALL, population=population)
+    count = len(settings.partners)
+    drawn = [settings.partner_of(7, n) for n in range(20 * count)]
+    assert Counter(drawn) == dict.fromkeys(settings.partners, 20)
+    assert drawn == [settings.partner_of(7, n) for n in range(20 * count)]
+    others = [settings.partner_of(8, n) for n in range(20 * count)]
+    assert count == 1 or drawn != others
+    blocks = {tuple(drawn[n : n + count]) for n in range(0, len(drawn), count)}
+    assert count == 1 or len(blocks) > 1
+
+
+def test_every_episode_is_played_as_often() -> None:
+    order = [pool_order(6, 3, n) for n in range(18)]
+    assert [sorted(order[n : n + 6]) for n in (0, 6, 12)] == [list(range(6))] * 3
+    assert order[:6] != order[6:12]
+
+
+def test_learners_are_those_of_the_paper() -> None:
+    learners = {name: replace(SMALL, population=name).learners for name in NAMES}
+    assert {name: len(of) for name, of in learners.items()} == {
+        "learn_single": 2, "plan_pop_1": 1, "plan_pop_2": 1, "plan_pop_3": 1, "plan_pop_4": 1, "learn_pop": 9,
+    }  # fmt: skip
+    nets = [chooser(name, population="learn_pop").arrays for name in learners["learn_pop"]]
+    assert not any(same(dict(nets[i]), dict(nets[j])) for i in range(1, 9) for j in range(i))
+
+
+# --- episodes -----------------------------------------------------------------------------------------------------------
+def test_episodes_come_back_from_their_file(pool: Path, tmp_path: Path) -> None:
+    drawn, read = draw_pool(DRAWN), pool_of(DRAWN, pool)
+    assert drawn == read
+    for entry, episode in zip(read.entries, episodes_of(read, DRAWN), strict=True):
+        task = find_task("rearrange")
+        again = task.sample(episode.scene, episode.free, entry.seed, episode.spec, episode.roster)
+        assert [t.name for t in again.targets] == [t.name for t in episode.targets]  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(again.starts, episode.starts)
+        for a, b in zip(again.targets, episode.targets, strict=True):  # type: ignore[attr-defined]
+            np.testing.assert_array_equal(a.goal, b.goal)
+            np.testing.assert_array_equal(a.start, b.start)
+    assert [entry.walk for entry in read.entries] == ["paper", "natural"]
+    assert [episode.spec.max_steps for episode in episodes_of(read, DRAWN)] == [750, 1500]
+    with pytest.raises(InputError, match="drawn with walk='both', not 'paper'"):
+        pool_of(replace(DRAWN, walk="paper"), pool)
+    for content in (pool.read_bytes()[:40], b"what", b""):
+        (tmp_path / "bad").write_bytes(content)
+        with pytest.raises(FormatError, match="Expected a file of episodes"):
+            pool_of(DRAWN, tmp_path / "bad")
+
+
+# --- choosing -----------------------------------------------------------------------------------------------------------
+def shown(agent: str, rng: np.random.Generator, objects: int = 2) -> dict[str, np.ndarray]:
+    """Random observations."""
+    known = limits(objects=objects, arm=7 if agent == ROBOT else 0)
+    found = {}
+    for name in chooser(ROBOT).card.observations:
+        low, high = np.maximum(known[name].low, -9), np.minimum(known[name].high, 9)
+        found[name] = rng.uniform(low, high).astype(np.float32)
+    return found
+
+
+@pytest.mark.parametrize("name", [ROBOT, "partner_0"])
+def test_it_gives_what_pytorch_gives(name: str) -> None:
+    agent, rng = (ROBOT if name == ROBOT else "human"), np.random.default_rng(4)
+    learner = ChooserLearner(SMALL, name, seed=2)
+    with torch.no_grad():
+        for parameter in learner.net.parameters():
+            parameter.add_(torch.as_tensor(rng.normal(0, 0.3, parameter.shape), dtype=torch.float32))
+    network, inputs = learner.network(), [encoded(shown(agent, rng), agent=agent, objects=2) for _ in range(12)]
+    each, rest = (torch.as_tensor(np.array(column))[:, None] for column in zip(*inputs, strict=True))
+    with torch.no_grad():
+        expected = learner.net(each, rest, torch.zeros(1, 8))[:, 0].numpy()
+    state, scores = network.start(), []
+    for own in inputs:
+        score, state = network(*own, state)
+        scores.append(score)
+    assert (each.shape[-1], rest.shape[-1]) == input_lengths(agent)
+    np.testing.assert_allclose(scores, expected, atol=2e-5)
+
+
+def test_objects_are_alike_but_for_their_numbers() -> None:
+    rng, network = np.random.default_rng(1), chooser()
+    known = dict(network.arrays)
+    known["object.weight"] = known["object.weight"].copy()
+    known["object.weight"][:, -2:] = 0  # their numbers
+    wide = len(known["object.weight"])
+    gru = known["gru.weight_ih"].copy()
+    gru[:, -wide:] = gru[:, -2 * wide : -wide]  # where each is in the input of the recurrent layer
+    network = replace(network, arrays=known | {"gru.weight_ih": gru})
+    each, rest = encoded(shown(ROBOT, rng), agent=ROBOT, objects=2)
+    scores, swapped = network(each, rest, network.start())[0], network(each[::-1].copy(), rest, network.start())[0]
+    np.testing.assert_allclose(swapped[:8].reshape(4, 2)[:, ::-1].ravel(), scores[:8], atol=1e-6)
+    np.testing.assert_allclose(swapped[8:], scores[8:], atol=1e-6)
+    assert np.ptp(scores[:8].reshape(4, 2), axis=1).max() > 1e-4
+
+
+class _Watched(RecurrentChooser):
+    """Chooses at random and checks what it may choose."""
+
+    def __init__(self, network: ChooserNetwork, *, robot: bool, seed: int) -> None:
+        super().__init__(network, 2, robot=robot)
+        self.rng, self.play, self.seen = np.random.default_rng(seed), None, set()
+
+    def choose(self, view: Any, each: Any, rest: Any, scores: Any) -> int:
+        may = np.isfinite(scores)
+        assert may.any()
+        np.testing.assert_array_equal(may, allowed(view, self.choices))
+        for number in np.flatnonzero(may).tolist():
+            assert self.play.objects.why_not(view.agent, self.choices[number]) == ""  # type: ignore[attr-defined]
+        skill = [self.choices[k].skill for k in np.flatnonzero(may)]
+        preferred = [k for k, s in zip(np.flatnonzero(may).tolist(), skill, strict=True) if s in ("pick", "place")]
+        chosen = int(self.rng.choice(preferred or np.flatnonzero(may)))
+        self.seen.add(self.choices[chosen].skill)
+        return chosen
+
+
+def test_what_cannot_be_is_never_offered(episodes: Sequence[RearrangeEpisode]) -> None:
+    episode = replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700))
+    robot = _Watched(chooser(think_steps=200), robot=True, seed=1)
+    person = _Watched(chooser("partner_0", think_steps=200), robot=False, seed=2)
+    play = RearrangePlay(episode, [
+        playing.AssignedPolicy(robot, "robot", "robot"), playing.AssignedPolicy(person, "human", "human"),
+    ])  # fmt: skip
+    robot.play = person.play = play  # type: ignore[assignment]
+    run(play)
+    assert {"nav_to_object", "pick"} <= robot.seen | person.seen
+
+
+def test_a_score_cannot_buy_what_is_not_allowed(episodes: Sequence[RearrangeEpisode]) -> None:
+    network = chooser()
+    bias = network.arrays["each_1.bias"].copy()
+    bias[2:] = 1e6  # pick and place, and nobody has arrived anywhere
+    policy = RecurrentChooser(replace(network, arrays={**network.arrays, "each_1.bias": bias}), 2, robot=True)
+    play = RearrangePlay(episodes[0], [
+        playing.AssignedPolicy(policy, "robot", "robot"), playing.AssignedPolicy(planner("still", 0), "still", "human"),
+    ])  # fmt: skip
+    assert policy.act(play.view(0)).skill not in ("pick", "place")
+    assert policy.choices == choices(2, robot=True)
+
+
+# --- learning -----------------------------------------------------------------------------------------------------------
+def test_rewards_are_told_apart_by_decision_and_lose_nothing() -> None:
+    rng = np.random.default_rng(0)
+    rewards, steps, gamma = rng.normal(size=50), [0, 0, 7, 7, 8, 30], 0.97
+    gains, spans = discounted(rewards, steps, gamma)
+    assert spans.tolist() == [0, 7, 0, 1, 22, 20]
+    whole = sum(g * gamma**t for g, t in zip(gains, steps, strict=True))
+    assert whole == pytest.approx(float(rewards @ gamma ** np.arange(50)))
+    assert gains[0] == gains[2] == 0
+
+
+def fabricated(rng: np.random.Generator, *, wanted: int, network: ChooserNetwork) -> Decisions:
+    """An episode of 20 decisions at random, of which one choice pays."""
+    agent, count = network.card.agent, 20
+    inputs = [encoded(shown(agent, rng), agent=agent, objects=2) for _ in range(count)]
+    may = np.ones(8 + rest_count(agent), np.bool_)
+    may[3] = False
+    state, log_probs, states = network.start(), [], []
+    for own in inputs:
+        states.append(state)
+        scores, state = network(*own, state)
+        log_probs.append(playing.log_softmax(np.where(may, scores, -np.inf).astype(np.float64)))
+    chosen = np.array([int(np.argmax(p + rng.gumbel(size=len(p)))) for p in log_probs])
+    return Decisions(
+        each=np.array([own[0] for own in inputs]), rest=np.array([own[1] for own in inputs]), state=np.array(states),
+        allowed=np.tile(may, (count, 1)), chosen=chosen,
+        log_prob=np.array([p[k] for p, k in zip(log_probs, chosen, strict=True)], np.float32),
+        gain=10.0 * (chosen == wanted).astype(np.float32), discount=np.append(np.full(count - 1, 0.5), 0).astype(np.float32),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [ROBOT, "partner_0"])
+def test_it_learns_what_pays(name: str) -> None:
+    rng, settings = np.random.default_rng(3), replace(SMALL, hidden=16, width=16, epochs=4)
+    learner = ChooserLearner(settings, name, seed=0)
+    shares = []
+    for update in range(25):
+        network = learner.network()
+        played = [fabricated(rng, wanted=5, network=network) for _ in range(6)]
+        assert not any((d.chosen == 3).any() for d in played)
+        shares.append(np.mean([(d.chosen == 5).mean() for d in played]))
+        partner = settings.partners[0]
+        row = learner.update([(partner, d) for d in played], plan_at(settings, update / 25, update), update=update)
+        assert np.isfinite(list(row.values())).all()
+    assert np.mean(shares[-4:]) > np.mean(shares[:4]) + 0.3
+
+
+def test_advantages_reach_over_decisions_of_any_length() -> None:
+    rng, network = np.random.default_rng(3), chooser()
+    decisions = fabricated(rng, wanted=1, network=network)
+    value = rng.normal(size=len(decisions)).astype(np.float32)
+    found = learning._advantages(decisions, value, scale=0.1, lam=1.0) + value
+    expected, after = np.zeros(len(decisions)), 0.0
+    for k in reversed(range(len(decisions))):
+        expected[k] = after = 0.1 * decisions.gain[k] + decisions.discount[k] * after
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+# --- runs ---------------------------------------------------------------------------------------------------------------
+def test_a_run_leaves_policies_that_play(whole: Path, episodes: Sequence[RearrangeEpisode]) -> None:
+    curve = curve_of(whole)
+    assert [row["episodes"] for row in curve] == [3, 6, 9]
+    assert curve[-1]["steps"] == pytest.approx(9 * 90)
+    robot, person = (network_of(f"weights:{whole / n}") for n in (POLICY, "partner_0.npz"))
+    assert isinstance(robot, ChooserNetwork)
+    assert isinstance(person, ChooserNetwork)
+    assert (robot.card.agent, person.card.agent, robot.card.objects) == ("robot", "human", 2)
+    assert robot.card.training["population"] == "learn_single"
+    assert not same(dict(robot.arrays), dict(chooser().arrays))
+    assert robot_policy(f"weights:{whole / POLICY}")
+    assert partner_policy(f"weights:{whole / 'partner_0.npz'}", 1)
+    task, plays = find_task("rearrange"), []
+    for _ in range(2):
+        named = {"robot": f"weights:{whole / POLICY}", "human": f"weights:{whole / 'partner_0.npz'}"}
+        play = task.play(episodes[1], task.assign(episodes[1], named))
+        run(play)
+        play.finish()
+        plays.append([(s.agent, s.name, s.target, s.end_step) for s in play.spans])
+    assert plays[0] == plays[1]
+    assert plays[0]
+
+
+def test_it_comes_to_the_same_weights_interrupted_and_on_more_workers(
+    whole: Path, episodes: Sequence[RearrangeEpisode], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def stop_in_the_second(*args: Any) -> Any:
+        asked.append(args)
+        if len(asked) == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return plan_at(*args)
+
+    monkeypatch.setattr(runs, "plan_at", stop_in_the_second)
+    first = train(tmp_path, SMALL, workers=2, episodes=episodes)
+    assert not first.done
+    assert first.updates == 2
+    monkeypatch.setattr(runs, "plan_at", plan_at)
+    assert train(tmp_path, SMALL, workers=1, episodes=episodes, resume=True).done
+    for name in (POLICY, "partner_0.npz"):
+        assert same(arrays(tmp_path, name), arrays(whole, name))
+    drop = ("seconds", "playing_share", "steps_per_s")
+    for a, b in zip(curve_of(tmp_path), curve_of(whole), strict=True):
+        assert {k: v for k, v in a.items() if k not in drop} == {k: v for k, v in b.items() if k not in drop}
+    with pytest.raises(InputError, match=r"The run is over: 3 updates"):
+        train(tmp_path, SMALL, workers=1, episodes=episodes, resume=True)
+
+
+def test_other_settings_and_damaged_checkpoints_are_refused(
+    whole: Path, episodes: Sequence[RearrangeEpisode], tmp_path: Path
+) -> None:
+    for changes, seed, message in (
+        ({"population": "learn_pop"}, 0, "has population='learn_single', not 'learn_pop'"), ({"updates": 9}, 1, "has seed=0"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            train(whole, replace(SMALL, **changes), seed=seed, workers=1, episodes=episodes, resume=True)
+    content = (whole / CHECKPOINT).read_bytes()
+    for damaged in (content[: len(content) // 2], b"", b"what"):
+        (tmp_path / CHECKPOINT).write_bytes(damaged)
+        with pytest.raises(FormatError, match=r"this is none, or damaged"):
+            train(tmp_path, SMALL, workers=1, episodes=episodes, resume=True)
+
+
+def jobs(count: int) -> list[Job]:
+    networks = {ROBOT: chooser(population="plan_pop_1")}
+    return [Job(n, n % 2, "object_1", networks, 0, 0.99) for n in range(count)]
+
+
+def test_a_lost_process_costs_nothing(
+    episodes: Sequence[RearrangeEpisode], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = [(p.steps, p.decisions[ROBOT].chosen.tolist()) for p in Players(episodes, 1).play(jobs(4))]
+    once, play_episode = tmp_path / "once", playing.play_episode
+
+    def dies_once(job: Job, episode: RearrangeEpisode) -> Any:  # forked processes have it too
+        if job.number == 2 and not once.exists():
+            once.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return play_episode(job, episode)
+
+    monkeypatch.setattr(playing, "play_episode", dies_once)
+    said: list[str] = []
+    players = Players(episodes, 2, say=said.append)
+    found = [(p.steps, p.decisions[ROBOT].chosen.tolist()) for p in players.play(jobs(4))]
+    players.close()
+    assert once.exists()
+    assert any("played again" in line for line in said)
+    assert found == expected
+
+
+def test_processes_that_die_again_and_again_end_the_run(
+    episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(playing, "play_episode", lambda job, episode: os.kill(os.getpid(), signal.SIGKILL))
+    players = Players(episodes, 2)
+    with pytest.raises(H3DataError, match=r"lost 3 times .* then --resume") as caught:
+        players.play(jobs(2))
+    assert "\n" not in str(caught.value)
+
+
+def test_an_episode_that_raises_is_left_out(
+    episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play_episode = playing.play_episode
+
+    def raises(job: Job, episode: RearrangeEpisode) -> Any:
+        if job.number in raising:
+            raise ValueError("no such luck")
+        return play_episode(job, episode)
+
+    monkeypatch.setattr(playing, "play_episode", raises)
+    said: list[str] = []
+    players, raising = Players(episodes, 1, say=said.append), {1}
+    assert len(players.play(jobs(3))) == 2
+    assert said == ["left out episode 1: ValueError: no such luck"]
+    raising = {0, 1, 2}
+    with pytest.raises(H3DataError, match="No episode could be played"):
+        players.play(jobs(3))
+
+
+# --- files and options ----------------------------------------------------------------------------------------------------
+def test_files_that_do_not_fit_are_refused(
+    tmp_path: Path, episodes: Sequence[RearrangeEpisode], capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, person = tmp_path / "robot.npz", tmp_path / "person.npz"
+    save_pictured(chooser(), robot)
+    save_pictured(chooser("partner_0"), person)
+    task = find_task("rearrange")
+    spec = task.Spec()
+    task.check_policy("robot", f"weights:{robot}", spec)
+    task.check_policy("human", f"weights:{person}", spec)
+    for kind, file, rules, message in (
+        ("robot", f"weights:{person}", spec, "for a robot, these are for a human"),
+        ("human", f"weights:{robot}", spec, "for a human, these are for a robot"),
+        ("robot", f"weights:{robot}", replace(spec, objects=3), "know 2 objects, the episode has 3"),
+        ("robot", "end_to_end", spec, "for the task rearrange, these are for 'social_nav'"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            task.check_policy(kind, file, rules)
+    with pytest.raises(FormatError, match="for the task social_nav, these are for 'rearrange'"):
+        find_task("social_nav").check_policy("robot", f"weights:{robot}", find_task("social_nav").Spec())
+    with pytest.raises(FormatError, match="drive the robot quad_arm, the episode has wheeled"):
+        RecurrentChooser(chooser()).require_body("wheeled")
+    broken = tmp_path / "broken.npz"
+    network = chooser()
+    for content, message in (
+        (robot.read_bytes()[:500], "this is none"),
+        (_file(tmp_path, network, persist=np.array([np.nan], np.float32)), "not finite"),
+        (_file(tmp_path, network, persist=np.zeros(2, np.float32)), "has the shape"),
+        (_file(tmp_path, network, without="gru.bias_ih"), "bias_ih is missing"),
+        (_file(tmp_path, network, extra=np.zeros(2, np.float32)), "unknown array extra"),
+    ):
+        broken.write_bytes(content)
+        os.utime(broken, ns=(0, hash(message) % 10**15))
+        with pytest.raises(FormatError, match=message):
+            task.check_policy("robot", f"weights:{broken}", spec)
+    options = ["generate", "rearrange", "--scenes", "small:1", "--episodes", "1", "--policy", f"weights:{person}"]
+    assert main([*options, "-o", str(tmp_path / "ds")]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def _file(folder: Path, network: ChooserNetwork, *, without: str = "", **changes: np.ndarray) -> bytes:
+    """A policy file with other arrays."""
+    path = folder / "other.npz"
+    save_pictured(network, path)
+    with np.load(path) as file:
+        data = {n: file[n] for n in file.files if n != without} | changes
+    np.savez(path, **data)  # type: ignore[arg-type]
+    return path.read_bytes()
+
+
+def test_a_zero_shot_population_may_hold_files(tmp_path: Path) -> None:
+    file = tmp_path / "person.npz"
+    save_pictured(chooser("partner_0"), file)
+    request = EvaluationRequest(task="rearrange", partners=f"both,weights:{file}", zsc=(f"both,weights:{file}",))
+    assert request.population == request.jobs()[0].partners
+    assert "@" in request.population[1]
+
+
+def test_trained_policies_come_with_the_package() -> None:
+    for names, agent in ((SHIPPED_IN["rearrange"], "robot"), (SHIPPED_PARTNERS, "human")):
+        cards = {}
+        for name in names:
+            network = network_of(name)
+            assert isinstance(network, ChooserNetwork)
+            cards[name] = network.card
+            assert network.card.agent == agent
+            assert name.startswith(network.card.training["population"])
+        assert len({network_of(name).digest for name in names}) == len(names)
+    seeds = [network_of(f"learn_single_partner_{k}").card.training["seed"] for k in range(3)]  # type: ignore[union-attr]
+    assert len(set(seeds)) == 3
+    task = find_task("rearrange")
+    assert set(SHIPPED_IN["rearrange"]) < set(task.policies["robot"])
+    assert set(ZSC_TEN) < set(task.policies["human"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"population": "plan_pop_5"}, "Did you mean 'plan_pop_"),
+        ({"walk": "moon"}, "one of: "),
+        ({"episodes": 0}, "episodes of at least 1"),
+        ({"horizon": 1.0}, "horizon above 1"),
+        ({"minutes": 0.0}, "minutes > 0"),
+    ],
+)
+def test_settings_out_of_range_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        SMALL.changed(**changes)
+
+
+def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = ["-o", str(tmp_path / "n")]
+    assert main(["train", "rearrange", "--population", "learn_pop", "--updates", "10", "--dry-run", *out]) == 0
+    text = capsys.readouterr().out
+    assert "9 learners" in text
+    assert "10 updates" in text
+    assert not (tmp_path / "n").exists()
+    for options, message in (
+        (["rearrange", "--recipe", "fast", "--gpus", "2"], "--recipe, --gpus"),
+        (["rearrange", "--population", "plan_pop"], "Did you mean"),
+        (["rearrange", "--workers", "0"], "at least 1 worker"),
+        (["social_nav", "--population", "learn_pop"], "--population"),
+        (["wander"], "social_nav or rearrange"),
+    ):
+        assert main(["train", *options, *out]) == 2
+        assert message in capsys.readouterr().err
+    assert main(["train", "rearrange", "-o", str(whole)]) == 2
+    assert "not empty" in capsys.readouterr().err
+
+
+def test_a_critic_is_told_who_the_partner_is() -> None:
+    settings = replace(SMALL, population="plan_pop_3")
+    net = Chooser(settings, agent=ROBOT, objects=2)
+    of_object, rest = input_lengths(ROBOT)
+    assert net.worth[0].in_features == 2 * of_object + rest + 3
+    assert not any(name.startswith("worth") for name in net.arrays())
