@@ -25,7 +25,8 @@ SMOOTH = 9  # updates
 
 out, folders = Path(sys.argv[1]), [Path(folder) for folder in sys.argv[2:]]
 runs = [curve_of(folder) for folder in folders]
-last = max(row["decisions"] for run in runs for row in run)
+over = "episodes" if "episodes" in runs[0][0] else "decisions"
+last = max(row[over] for run in runs for row in run)
 unit, name_of_unit = (1e6, "millions") if last > 2e6 else (1e3, "thousands")
 
 
@@ -40,18 +41,21 @@ def drawn(name: str, title: str, scale: float) -> np.ndarray:
         y = int(TOP + high * (1 - share))
         cv2.line(panel, (LEFT, y), (LEFT + wide, y), (225, 225, 225), 1)
         write(panel, f"{share:.1f}", 20, y + 5)
-        write(panel, f"{share * last / unit:.0f}", int(LEFT + wide * share) - 10, HEIGHT - 28)
+        write(
+            panel, f"{share * last / unit:.{0 if last > 20 * unit else 1}f}", int(LEFT + wide * share) - 10, HEIGHT - 28
+        )
+    legend = TOP + 18 if over == "decisions" else HEIGHT - BOTTOM - 17 * len(runs)
     for k, run in enumerate(runs):
         values = np.array([row[name] for row in run]) / scale
         values = np.convolve(np.pad(values, SMOOTH // 2, mode="edge"), np.ones(SMOOTH) / SMOOTH, mode="valid")
-        x = LEFT + wide * np.array([row["decisions"] for row in run]) / last
+        x = LEFT + wide * np.array([row[over] for row in run]) / last
         points = np.stack([x, TOP + high * (1 - values)], 1)
         cv2.polylines(
             panel, [np.rint(points * 16).astype(np.int32)], False, COLORS[k % len(COLORS)], 2, cv2.LINE_AA, shift=4
         )
-        write(panel, folders[k].name, LEFT + wide - 110, TOP + 18 + 17 * k, COLORS[k % len(COLORS)])
+        write(panel, folders[k].name, LEFT + wide - 110, legend + 17 * k, COLORS[k % len(COLORS)])
     write(panel, title, LEFT, 30)
-    write(panel, f"{name_of_unit} of decisions", WIDTH // 2 - 80, HEIGHT - 8)
+    write(panel, f"{name_of_unit} of {over}", WIDTH // 2 - 80, HEIGHT - 8)
     return panel
 
 
