@@ -179,9 +179,10 @@ export class World {
     node.quaternion.premultiply(this.swing.setFromAxisAngle(UP, turn));
   }
 
-  private sort(node: Object3D, name: string): void {
+  private sort(node: Object3D, fullName: string): void {
+    const name = fullName.replace(/^upper_/, "");
     if (name.startsWith("ceiling")) this.lids.push(node);
-    else if (this.manifest.agents.some((agent) => agent.name === name)) return;
+    else if (this.manifest.agents.some((agent) => agent.name === fullName)) return;
     else this.home.push(node);
     if (name === "walls" || name.startsWith("wall")) this.solid.push(node);
     if (name.startsWith("floor_") || name.startsWith("rug") || name === "floor") this.floors.push(node);
