@@ -48,6 +48,7 @@ def walked(*, up: bool) -> Track:
 
 
 def test_people_slow_down_before_they_climb() -> None:
+    assert NATURAL_WALKER.stride is not None
     for up in (True, False):
         track = walked(up=up)
         speed = np.hypot(*np.diff(track[:, :2], axis=0).T) / STEP_S
