@@ -38,6 +38,7 @@ class BoxFloor(NamedTuple):
     sdf: NDArray[np.float32]
     origin: NDArray[np.float64]
     cell_m: float
+    has_stairs: bool = False
 
     @classmethod
     def draw(cls, seed: int = 0) -> BoxFloor:

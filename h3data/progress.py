@@ -78,7 +78,7 @@ def _lines_bar() -> type[tqdm[Any]]:
     class Lines(tqdm):
         @property
         def format_dict(self) -> dict[str, Any]:
-            shown = super().format_dict
+            shown = dict(super().format_dict)
             if self.total and self.n - self.initial <= max(1, _EARLY * self.total):
                 shown["bar_format"] = _EARLY_LINE
             return shown

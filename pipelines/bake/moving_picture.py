@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from h3data.progress import progress
-from h3data.recording import open_recording
 from h3data.render import depth_to_rgb
 from h3data.replay import Replay, camera_track
+from h3data_pipelines.command import open_episode
 from h3data_pipelines.pictures.rendering import draw_trajectories
 
 SIZE = (832, 468)
@@ -28,7 +28,7 @@ EVERY, FRAMES, MILLISECONDS = 3, 120, 100
 
 def main(recording: Path, first: int, out: Path) -> None:
     """Renders a looping WebP of three cameras, with smooth edges, from step ``first`` on."""
-    replay = Replay(open_recording(recording), light="baked")
+    replay = Replay(open_episode(recording), light="baked")
     side = ((SIZE[1] - GAP) // 2 * 4 // 3, (SIZE[1] - GAP) // 2)
     stage, renderer = replay.stage, replay.stage.renderer()
     person, above = (

@@ -49,7 +49,7 @@ def smooth_patches(
 
 def _flat_sides(surface: Surface, places: NDArray[np.float32]) -> NDArray[np.int64]:
     """A number for the direction that each triangle without vertex normals faces, to 0.01, else 0, shape [F]."""
-    flat = ~surface.normals[surface.faces].any((1, 2))
+    flat = np.logical_not(surface.normals[surface.faces].reshape(-1, 9).any(axis=1))
     out = np.zeros(len(flat), np.int64)
     a, b, c = (places[surface.faces[flat, k]].astype(np.float64) for k in range(3))
     sides = np.rint(normalized(np.cross(b - a, c - a)) * 100).astype(np.int64) + 101
@@ -70,6 +70,6 @@ def _vertex_keys(surface: Surface, places: NDArray[np.float32]) -> NDArray[np.ui
 
 def _mixed(keys: NDArray[np.integer]) -> NDArray[np.uint64]:
     """Keys whose bits all depend on all bits of the given ones."""
-    keys = keys.astype(np.uint64)
-    keys = (keys ^ (keys >> np.uint64(29))) * _MIX[1]
-    return keys ^ (keys >> np.uint64(32))
+    bits: NDArray[np.uint64] = keys.astype(np.uint64)
+    bits = (bits ^ (bits >> np.uint64(29))) * _MIX[1]
+    return bits ^ (bits >> np.uint64(32))

@@ -13,6 +13,7 @@ from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
 from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS, IDLE, LOOK
 from h3data.bodies.people.planted_gait import on_floor, planted_states, pose_planted
 from h3data.geometry import Array, ground_pose, pose_to_matrix
+from h3data.scene.floor_heights import LEVEL
 
 STEPS = 45
 """Of each part of a random track."""
@@ -172,7 +173,7 @@ def test_feet_keep_out_of_what_stands_in_front() -> None:
     body, wall = load_humanoid("male_1"), 3.0
     xs = np.arange(200) * 0.05
     room = np.repeat((wall - xs)[:, None], 200, axis=1)
-    free = SimpleNamespace(sdf=room, origin=np.array([-0.025, -5.0]), cell_m=0.05)
+    free = SimpleNamespace(sdf=room, origin=np.array([-0.025, -5.0]), cell_m=0.05, heights=LEVEL)
     run = np.minimum(np.arange(60) * 2.5 / 30, wall - 0.25)
     turn = np.minimum(np.arange(20) * 2.5 / 30, np.pi / 2)
     along = np.arange(40) * 2.5 / 30

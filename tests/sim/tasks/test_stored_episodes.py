@@ -267,7 +267,10 @@ def test_lists_of_sets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert {s["set"]: s["episodes"] for s in data["sets"]} == {
         f"{name}/{split}": count for name in ("h3-homes", "h3-homes-v2") for split, count in episodes.items()
     }
-    assert [p["preset"] for p in data["presets"]] == ["small", "medium", "large", "small2", "medium2", "large2"]
+    assert [p["preset"] for p in data["presets"]] == [
+        *("small", "medium", "large", "small2", "medium2", "large2"),
+        *("small2-storeys", "medium2-storeys"),
+    ]
     file = tmp_path / "two.toml"
     file.write_text(SET_TEXT)
     rows = run_json(capsys, "scenes", "list", file)["scenes"]
