@@ -45,7 +45,7 @@ def main(recording: Path, first: int, out: Path) -> None:
         draw_trajectories(plan, replay, above, step)
         (depth,) = stage.render(renderer, step, [arm.at(step)], outputs=("depth",))
         frames.append(_sheet(seen, depth_to_rgb(depth["depth"], 0.0, 6.0), plan))
-    frames[0].save(out, save_all=True, append_images=frames[1:], duration=MILLISECONDS, loop=0, quality=55, method=4)
+    frames[0].save(out, save_all=True, append_images=frames[1:], duration=MILLISECONDS, loop=0, quality=62, method=4)
     sys.stdout.write(f"{out}: {len(frames)} frames, {out.stat().st_size / 1e6:.1f} MB\n")
 
 
@@ -61,6 +61,6 @@ if __name__ == "__main__":
     given = sys.argv[1:]
     main(
         Path(given[0] if given else "out/demo/episode.mcap"),
-        int(given[1]) if len(given) > 1 else 60,
+        int(given[1]) if len(given) > 1 else 114,
         Path("docs/pictures/demo.webp"),
     )

@@ -1,4 +1,4 @@
-"""``h3data demo``: one episode through every room of the house, in a minute, offline."""
+"""``h3data demo``: one episode through every room of the house, in one or two minutes, offline."""
 
 from __future__ import annotations
 
