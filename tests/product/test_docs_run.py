@@ -185,7 +185,8 @@ def shortened(words: list[str]) -> list[str]:
         case ["train", *_]:
             words = _without(words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds", "--rollout")
             words += ["--recipe", "fast"] if "--init" in words else []
-            words += ["--scenes", "h3-homes/train#0", "--worlds", "8", "--updates", "1"]
+            words += ["--scenes", "h3-homes/train#0", "--updates", "1"]
+            words += [] if "rearrange" in words else ["--worlds", "8"]
         case ["demo", *_]:
             words = [*words, "--steps", "450"]
         case ["scenes", "validate" | "list", *_]:
