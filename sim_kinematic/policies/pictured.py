@@ -79,6 +79,14 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """How it came about: recipe, seed, steps, hardware, versions."""
 
 
+def digest_of(about: tuple[Any, ...], arrays: Mapping[str, Floats]) -> str:
+    """SHA-256 (hex) of a network's weights and of the fields of its card that decide how they are used."""
+    found = sha256(repr(about).encode())
+    for name, array in sorted(arrays.items()):
+        found.update(f"{name}{array.shape}".encode() + array.tobytes())
+    return found.hexdigest()
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PicturedNetwork:
     """The weights of one policy and what they are for."""
@@ -113,10 +121,7 @@ class PicturedNetwork:
         """SHA-256 of all that decides what it does."""
         card = self.card
         about = (card.task, card.observations, card.picture_size, card.hold)
-        found = sha256(repr(about if card.network == "cnn_gru" else (*about, card.network)).encode())
-        for name, array in sorted(self.arrays.items()):
-            found.update(f"{name}{array.shape}".encode() + array.tobytes())
-        return found.hexdigest()
+        return digest_of(about if card.network == "cnn_gru" else (*about, card.network), self.arrays)
 
     def start(self) -> Floats:
         """The recurrent state at the start of an episode, [H]."""

@@ -16,7 +16,7 @@ CALM: Mapping[str, float] = {"browInnerUp": 0.10, "mouthSmile": 0.16, "cheekSqui
 
 @dataclass(frozen=True, kw_only=True)
 class BodySpec:
-    """What one body is made from."""
+    """The ingredients of one body."""
 
     phenotype: dict[str, float]
     """anny's parameters; ``height`` is found from the stature."""
@@ -29,7 +29,7 @@ class BodySpec:
 
     @property
     def shape(self) -> ShapeSpec:
-        """What anny is asked for."""
+        """The phenotype that anny is asked for."""
         return ShapeSpec(
             phenotype=self.phenotype, stature_m=self.stature_m, features=self.features, expression=CALM
         )  # fmt: skip

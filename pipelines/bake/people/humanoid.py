@@ -108,7 +108,7 @@ def body_arrays(name: str, rig: Rig, vertices: Array, faces: NDArray[np.int32], 
 def mesh_arrays(
     prefix: str, mean: NDArray[np.int16], faces: NDArray[np.int32], weights: Array, regions: NDArray, weld: NDArray
 ) -> Arrays:
-    """What one mesh of all bodies has in common; the four greatest skin weights."""
+    """Arrays that one mesh of all bodies has in common; the four greatest skin weights."""
     order = np.argsort(-weights, axis=1, kind="stable")[:, :4]
     greatest = np.take_along_axis(weights, order, axis=1)
     greatest /= greatest.sum(axis=1, keepdims=True)

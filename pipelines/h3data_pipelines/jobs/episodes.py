@@ -187,7 +187,7 @@ class Choices:
 
     @property
     def _motion(self) -> str:
-        """What the name of a person is followed by."""
+        """Suffix of a person's name that names the motion file of their walk; empty without one."""
         from h3data.bodies.motion.walk_names import JOIN
 
         return "" if self.motion is None else JOIN + self.motion

@@ -23,7 +23,7 @@ STEPS_PER_EPISODE = 600
 
 
 def plan_rearrange(out: Path, settings: PopulationSettings, *, workers: int | None) -> Outcome:
-    """What a run would do, and what it would cost."""
+    """The settings and the cost of a run, without running it."""
     data = {"settings": settings.as_dict(), "out": str(out), **_cost(settings, workers)}
     text = f"{json.dumps(settings.as_dict(), indent=1)}\n{_plan(settings, workers)}\nNothing has been done."
     return Outcome(text=text, data=data)
@@ -56,7 +56,7 @@ def train_rearrange(
 
 
 def _cost(settings: PopulationSettings, workers: int | None) -> dict[str, float]:
-    """What a run takes, about."""
+    """Rough cost of a run: workers, updates, episodes, steps, CPU seconds and bytes of checkpoints."""
     from h3data_training.populations.pool import default_workers
 
     count = workers or default_workers()

@@ -22,7 +22,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
 
 class Plan(NamedTuple):
-    """What changes over a run."""
+    """Rates and weights that change over a run."""
 
     rate: float
     entropy: float
@@ -117,7 +117,7 @@ class ChooserLearner:
         return np.array([wrong.item(), *means])
 
     def _told(self, partner: str, decisions: Decisions) -> Tensor:
-        """What the critic is told, [D, n]."""
+        """Inputs of the critic, which include who the partner is, [D, n]."""
         one = np.zeros((len(decisions), len(self.settings.partners)), np.float32)
         one[:, self.settings.partners.index(partner)] = 1.0
         columns = decisions.each.reshape(len(decisions), -1), decisions.rest, one

@@ -110,7 +110,7 @@ class _Sampler(RecurrentChooser):
         return chosen
 
     def decisions(self, rewards: Sequence[float], gamma: float) -> Decisions:
-        """What was decided, with what it gained; ``rewards`` are those of each simulated step."""
+        """All decisions with the reward that followed each; ``rewards`` are those of each simulated step."""
         each, rest, state, allowed, chosen, log_prob = (np.array(column) for column in zip(*self.rows, strict=True))
         gains, spans = discounted(np.array(rewards), self.steps, gamma)
         return Decisions(

@@ -259,7 +259,7 @@ class _Run:
 
 
 def _outcome(played: Sequence[Played]) -> dict[str, float]:
-    """What the episodes of an update came to, on average."""
+    """Means over the episodes of an update, by column of the curve."""
     there = sum(p.at_goal for p in played)
     return {
         "reward": float(np.mean([p.reward for p in played])),
@@ -271,6 +271,6 @@ def _outcome(played: Sequence[Played]) -> dict[str, float]:
 
 
 def _others(losses: dict[str, dict[str, float]]) -> dict[str, float]:
-    """Of partners that learn, on average."""
+    """Mean losses of the partners that learn."""
     names = ("value_loss", "entropy", "kl", "clipped", "explained", "gradient_steps")
     return {f"partners_{n}": float(np.mean([row[n] for row in losses.values()])) for n in names} if losses else {}

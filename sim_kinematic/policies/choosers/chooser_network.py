@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from hashlib import sha256
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from sim_kinematic.agents.skills import PRIMITIVES
-from sim_kinematic.policies.pictured import PolicyCard, affine
+from sim_kinematic.policies.pictured import PolicyCard, affine, digest_of
 
 Floats = NDArray[np.floating]
 KIND = "gru_chooser"
@@ -142,10 +141,8 @@ class ChooserNetwork:
     def digest(self) -> str:
         """SHA-256 of all that decides what it does."""
         card = self.card
-        found = sha256(repr((card.task, card.network, card.agent, card.objects, card.observations, card.hold)).encode())
-        for name, array in sorted(self.arrays.items()):
-            found.update(f"{name}{array.shape}".encode() + array.tobytes())
-        return found.hexdigest()
+        about = (card.task, card.network, card.agent, card.objects, card.observations, card.hold)
+        return digest_of(about, self.arrays)
 
     def start(self) -> Floats:
         """The recurrent state at the start of an episode, [H]."""

@@ -76,7 +76,7 @@ def cut(s: Sheet, field: Field) -> tuple[Sheet, NDArray[np.bool_]]:
 
 
 def kept(s: Sheet, field: Field) -> Sheet:
-    """What lies where a field is positive."""
+    """The part of a sheet where a field is positive."""
     whole, side = cut(s, field)
     return only(whole, side)
 

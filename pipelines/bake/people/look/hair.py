@@ -261,7 +261,7 @@ def _hair_weights(m: Measures, points: Array) -> Array:
 
 
 def _off_the_shoulders(ground: Ground, fall: Array, hangs: NDArray[np.bool_], roots: Array) -> Array:
-    """What hangs, pushed out of neck, shoulders and back."""
+    """Vertices of falling hair, those that hang pushed out of neck, shoulders and back."""
     skin = ground.base.part("skin")
     out = fall.copy()
     for _ in range(3):
