@@ -13,6 +13,7 @@ from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE, quat_from_heading
 from h3data.scene.homes import structure
 from h3data.scene.homes.check import faults
+from h3data.scene.homes.doors import closed_by_chance, with_doors
 from h3data.scene.homes.floors import floor_mesh
 from h3data.scene.homes.furnishing.clutter import clutter, object_assets
 from h3data.scene.homes.furnishing.furniture_living import ceiling_lamp
@@ -126,7 +127,7 @@ def build_home(spec: HomeSpec) -> Scene:
             _log.debug("%s, attempt %d: %s", spec, attempt, error)
             continue
         if not scene_faults:
-            return scene
+            return closed_by_chance(scene, stage_rng(spec, "closed doors", attempt)) if spec.doors else scene
         reasons += scene_faults
         _log.debug("%s, attempt %d: %s", spec, attempt, "; ".join(scene_faults))
     raise SceneError(
@@ -137,8 +138,7 @@ def build_home(spec: HomeSpec) -> Scene:
 def _attempt(spec: HomeSpec, attempt: int) -> tuple[Scene, list[str]]:
     """A home and its faults."""
     layout = plan_layout(spec, attempt)
-    scene = _storey(spec, attempt, layout, _style(spec, layout, attempt))
-    return scene, faults(scene)
+    return _sound_storey(spec, attempt, layout, _style(spec, layout, attempt))
 
 
 def _attempt_storeys(spec: HomeSpec, attempt: int) -> tuple[Scene, list[str]]:
@@ -148,7 +148,8 @@ def _attempt_storeys(spec: HomeSpec, attempt: int) -> tuple[Scene, list[str]]:
     plan = plan_storeys(below, above, attempt)
     style = _style(below, plan.ground, attempt)
     upstairs = replace(style, paint=_style(above, plan.upper, attempt).paint)
-    ground, upper = _storey(below, attempt, plan.ground, style), _storey(above, attempt, plan.upper, upstairs)
+    ground, below_faults = _sound_storey(below, attempt, plan.ground, style)
+    upper, above_faults = _sound_storey(above, attempt, plan.upper, upstairs)
     home = _Collector()
     for asset, layer in stairwell_assets(plan, style, stage_rng(below, "stairs", attempt)):
         home.structure(asset, layer)
@@ -158,13 +159,25 @@ def _attempt_storeys(spec: HomeSpec, attempt: int) -> tuple[Scene, list[str]]:
         home.furniture(Placed(piece=lamp, room="stairs", x=x, z=z, quarter=0, y=TOP_M, layer="ceiling"))
     well = Scene(name="stairs", assets=_dense(home.assets, spec), instances=tuple(home.instances))
     scene = replace(joined_storeys(plan, ground, upper, well), name=_name(spec), source=_source(spec))
-    return scene, [*faults(ground), *faults(upper)]
+    return scene, [*below_faults, *above_faults]
 
 
 def _dense(assets: dict[str, Asset], spec: HomeSpec) -> dict[str, Asset]:
     if spec.density == 1:
         return assets
     return {n: replace(a, mesh=subdivided(a.mesh, spec.density)) for n, a in assets.items()}
+
+
+def _sound_storey(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> tuple[Scene, list[str]]:
+    """A furnished plan at y = 0, with its doors open, and its faults; leaves slide if the home has faults where they swing."""
+    scene = _storey(spec, attempt, layout, style)
+    if not spec.doors:
+        return scene, faults(scene)
+    hung = with_doors(scene, layout, style, stage_rng(spec, "doors", attempt))
+    if not (found := faults(hung)):
+        return hung, found
+    hung = with_doors(scene, layout, style, stage_rng(spec, "doors", attempt), swing=False)
+    return hung, faults(hung)
 
 
 def _storey(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> Scene:

@@ -65,9 +65,24 @@ HOME_NAMES: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         for opens in (False, True)
         for preset in ("small", "medium")
     }
+    | {
+        f"{preset}2{storeys}-doors": MappingProxyType(
+            {"preset": preset, "generation": 2, "articulated": True, "doors": True}
+            | ({"storeys": STOREYS} if storeys else {})
+        )
+        for storeys in ("", "-storeys")
+        for preset in get_args(Preset)
+        if not (storeys and preset == "large")
+    }
 )
 """Options of `HomeSpec` by the name before the colon of a home: ``small:3``, ``small2:3`` is of the second generation, in
-``small-open:3`` and ``small2-open:3`` furniture opens, ``small2-storeys:3`` has two storeys."""
+``small-open:3`` and ``small2-open:3`` furniture opens, ``small2-storeys:3`` has two storeys, in ``small2-doors:3`` furniture and the doors between rooms open and close."""
+
+
+_LATER: Mapping[str, Any] = MappingProxyType(
+    {"articulated": False, "generation": 1, "style": None, "storeys": 1, "doors": False}
+)
+"""Fields of `HomeSpec` that came later, and what they are in the homes from before."""
 
 
 def min_area_m2(bedrooms: int, bathrooms: int) -> float:
@@ -102,12 +117,14 @@ class HomeSpec:
     storeys: int = 1
     """2 adds an upper storey beside a stairwell (second generation, ``small`` and ``medium``). Area, bedrooms and bathrooms are
     those of each storey."""
+    doors: bool = False
+    """Whether doorways have doors, some of them closed (second generation). Rooms, furniture and small objects stay the same."""
 
     def __repr__(self) -> str:
         """As of a plain dataclass; without the fields that came later where they are not set, because jobs and recordings have
         their identity from it."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        for name, default in (("articulated", False), ("generation", 1), ("style", None), ("storeys", 1)):
+        for name, default in _LATER.items():
             if values[name] == default:
                 del values[name]
         return f"HomeSpec({', '.join(f'{name}={value!r}' for name, value in values.items())})"
@@ -133,6 +150,8 @@ class HomeSpec:
         _check_whole("density", self.density, 1, MAX_DENSITY)
         if not isinstance(self.articulated, bool):
             raise InputError(f"articulated of a home must be true or false, got {self.articulated!r}.")
+        if not isinstance(self.doors, bool) or (self.doors and self.generation < 2):
+            raise InputError(f"doors of a home must be true or false, true with generation=2; got {self.doors!r}.")
         _check_number("clutter", self.clutter, 0.0, MAX_CLUTTER)
         program = self.program
         smallest = min_area_m2(program.bedrooms, program.bathrooms)
@@ -179,6 +198,8 @@ class HomeSpec:
             changed["articulated"] = True
         if self.storeys > 1:
             changed["storeys"] = int(self.storeys)
+        if self.doors:
+            changed["doors"] = True
         return changed
 
 
@@ -272,9 +293,9 @@ def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generat
     """Random numbers of one stage, keyed by (seed, preset, rooms, stage, attempt).
 
     A stage that samples more or fewer numbers therefore leaves the other stages unchanged. `HomeSpec.clutter`, ``density``,
-    ``style`` and ``articulated`` are not part of the key: they leave rooms and furniture unchanged.
+    ``style``, ``articulated`` and ``doors`` are not part of the key: they leave rooms and furniture unchanged.
     """
-    apart = ("clutter", "density", "style", "articulated")
+    apart = ("clutter", "density", "style", "articulated", "doors")
     rooms = "".join(f"{k}={v!r}/" for k, v in spec.changes.items() if k not in apart)
     text = f"h3data.homes/1/{spec.preset}/{rooms}{int(spec.seed)}/{stage}/{attempt}"
     key = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], "<u8").astype(np.uint64)
