@@ -21,7 +21,7 @@ from sim_kinematic.agents.person import Person, SkillResult, Transition
 from sim_kinematic.agents.person import Skill as Motion
 from sim_kinematic.agents.person_clearance import ReachRoom
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
-from sim_kinematic.agents.stands import nearest_stand, person_stands
+from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.yielding import NO_PATH, Seen, crowds, in_the_way, path_around, waits
@@ -177,7 +177,7 @@ class PersonActor:
         """Walk to where the first of these hands that can reaches a world point [3], and turn to it."""
         gets_there = False
         for hand in hands:
-            stands = self._clear_of_open(person_stands(self.free, self.person.body, point, hand))
+            stands = self._clear_of_open(self.stands(point, hand))
             for _ in range(AVOIDANCE.patience_steps):
                 if not len(stands) or not crowds(stands, self.others).all():
                     break
@@ -194,6 +194,14 @@ class PersonActor:
             return Ending("failed", "no_room" if gets_there else "no_way")
         return (yield from self._go_to(stands[k], point))
 
+    def stands(self, point: NDArray, hand: Hand) -> Array:
+        """Stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""
+        return person_stands(self.free, self.person.body, point, hand, island=island_of(self.free, self.xz))
+
+    def walk_on(self, free: FreeSpace) -> None:
+        """The floor is another one from now on: something of the home has opened or closed."""
+        self.free = self.person.free = free
+
     def _clear_of_open(self, stands: Array) -> Array:
         """Those of some stands that are not where a part of the home stands open."""
         if self.openables is None:
@@ -205,7 +213,7 @@ class PersonActor:
         assert self.openables is not None
         way = handle_way(self.openables, k, full_way(self.openables, k))
         for hand in HANDS:
-            stands = person_stands(self.free, self.person.body, way[0], hand)
+            stands = self.stands(way[0], hand)
             stands = stands[stands_before(self.openables, k, stands, (0.0,), AVOIDANCE.person.radius_m)]
             for last in (len(way) - 1, len(way) // 2, 0):
                 near = stands[[self._reaches(stand, way[last], hand) for stand in stands]] if len(stands) else stands
@@ -253,11 +261,11 @@ class PersonActor:
             yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx)), settles=False), TURN_PATIENCE_STEPS)
         if self._gait.blend[0] == 0:
             self._gait = self._set_off()
-        k, waited, left = 0, 0, False
+        k, waited, left, floor = 0, 0, False, self.free
         while k < len(path) and waited <= AVOIDANCE.patience_steps:
             left |= self.aside is not None
-            if left and self.aside is None:  # back from where they had stepped aside to
-                path, k, waited, left = self._path(goal), 0, 0, False
+            if (left and self.aside is None) or floor is not self.free:  # back from where they had stepped aside to
+                path, k, waited, left, floor = self._path(goal), 0, 0, False, self.free
                 continue
             self.path = np.vstack([self.xz[None], path[k:]])
             if left:
@@ -281,7 +289,8 @@ class PersonActor:
         waited, left = 0, False
         while not strider.arrived and waited <= AVOIDANCE.patience_steps:
             left |= self.aside is not None
-            if left and self.aside is None:  # back from where they had stepped aside to
+            if (left and self.aside is None) or strider.free is not self.free:  # back from where they had stepped aside to
+                strider.walk_on(self.free)
                 strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
                 waited, left = 0, False
                 continue

@@ -20,7 +20,7 @@ from sim_kinematic.agents.opening.openables import Openables, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
 from sim_kinematic.agents.robot_arm_clearance import ArmClearance, reach_line
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
-from sim_kinematic.agents.stands import discs_fit, nearest_stand, robot_stands
+from sim_kinematic.agents.stands import discs_fit, island_of, nearest_stand, robot_stands
 from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
@@ -285,9 +285,9 @@ class RobotActor:
 
     def _navigate(self, point: NDArray) -> Skill:
         """Drives to where the hand reaches a world point [3], and turns for it."""
-        stands = robot_stands(self.free, self.robot, self.base, point)
+        stands = self.stands(point)
         if not len(stands):  # with what it carries it cannot turn all around anywhere there: `lift_arm` with a box
-            stands = robot_stands(self.free, self.robot, self._empty_base, point)
+            stands = self.stands(point, self._empty_base)
         if self.openables is not None:
             ajar, base = self.openables.open_points(), self.base
             stands = stands[stands_clear(stands, ajar, base.disc_offsets_m, base.disc_radius_m)]
@@ -302,11 +302,19 @@ class RobotActor:
             self._gave_up.append(goal.copy())
         return ending
 
+    def stands(self, point: NDArray, base: BaseSpec | None = None) -> Array:
+        """Stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
+        return robot_stands(self.free, self.robot, base or self.base, point, island=island_of(self.free, self.xz))
+
+    def walk_on(self, free: FreeSpace) -> None:
+        """The floor is another one from now on: something of the home has opened or closed."""
+        self.free = free
+
     def _navigate_to_handle(self, k: int) -> Skill:
         """Drives to where the hand reaches a handle, if possible along its whole way, and turns for it."""
         assert self.openables is not None
         way = handle_way(self.openables, k, full_way(self.openables, k))
-        stands = robot_stands(self.free, self.robot, self.base, way[0])
+        stands = self.stands(way[0])
         base = self.base
         stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
         reach = reach_distances(self.robot, float(way[-1, 1] - self.free.height_at(way[-1, [0, 2]])))

@@ -34,8 +34,10 @@ LEVEL_M = 0.01
 """Floors that differ by less are one."""
 
 
-def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right") -> Array:
-    """Returns stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on the largest island."""
+def person_stands(
+    free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right", *, island: int = 0
+) -> Array:
+    """Returns stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on an island of the floor."""
     point = np.asarray(point, np.float64)
     side = HAND_SIDE_RAD if hand == "right" else -HAND_SIDE_RAD
     distances = np.array(PERSON_DISTANCES_M)
@@ -43,7 +45,7 @@ def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand 
     d = np.concatenate([distances - SWAY_M, distances, distances + SWAY_M])
     points = np.stack([d * np.cos(side), np.full_like(d, height), d * np.sin(side)], axis=1)
     fine = reacher(body, hand).reachable(points).reshape(3, -1).all(0)
-    return _on_island(free, point, _ring(point, distances[fine], side))
+    return _on_island(free, point, _ring(point, distances[fine], side), island)
 
 
 def robot_fits(robot: Robot, rules: BaseSpec, scene: Scene, free: FreeSpace) -> Callable[[Array, float], bool]:
@@ -68,12 +70,12 @@ def discs_fit(free: FreeSpace, base: BaseSpec, xz: Array, heading: float) -> boo
     return room >= base.disc_radius_m
 
 
-def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike) -> Array:
-    """Returns stands ``(x, z, heading)`` [N, 3] from which a robot's hand reaches a world point [3] [m]
-    (`sim_kinematic.agents.hand_reach`), and at which its base can turn all the way around."""
+def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
+    """Returns stands ``(x, z, heading)`` [N, 3] on an island of the floor from which a robot's hand reaches a world point [3]
+    [m] (`sim_kinematic.agents.hand_reach`), and at which its base can turn all the way around."""
     point = np.asarray(point, np.float64)
     distances = reach_distances(robot, float(point[1] - free.height_at(point[[0, 2]])))
-    stands = _on_island(free, point, _ring(point, distances, -reach_bearing(robot)))
+    stands = _on_island(free, point, _ring(point, distances, -reach_bearing(robot)), island)
     radius = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + ROOM_M
     return stands[free.signed_distance(stands[:, :2]) >= radius]
 
@@ -105,10 +107,15 @@ def _ring(point: Array, distances: Array, side: float) -> Array:
     return np.stack([x, z, angle + side], axis=1)
 
 
-def _on_island(free: FreeSpace, point: Array, stands: Array) -> Array:
-    """Those of the stands round a world point that are on the largest island, and on the storey of the point: not on stairs."""
-    island: NDArray[np.int32] = free.island(stands[:, :2])
+def island_of(free: FreeSpace, xz: Array) -> int:
+    """The island on which an agent at a floor point [2] is; the largest for one that is a little off the floor."""
+    return max(int(free.island(xz)), 0)
+
+
+def _on_island(free: FreeSpace, point: Array, stands: Array, island: int) -> Array:
+    """Those of the stands round a world point that are on an island, and on the storey of the point: not on stairs."""
+    there = free.island(stands[:, :2]) == island
     if len(free.heights):
         level = np.abs(free.height_at(stands[:, :2]) - free.height_at(point[[0, 2]])) < LEVEL_M
-        return stands[(island == 0) & level]
-    return stands[island == 0]
+        return stands[there & level]
+    return stands[there]

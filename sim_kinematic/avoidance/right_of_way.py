@@ -68,6 +68,10 @@ class RightOfWay:
         self._stalled = dict.fromkeys(self._walkers, 0)
         self._place = {number: _place(walker) for number, walker in self._walkers.items()}
 
+    def walk_on(self, free: FreeSpace) -> None:
+        """The floor is another one from now on."""
+        self._free, self._routes = free, FloorRoutes.of(free)
+
     def update(self, carrying: Sequence[int] = ()) -> None:
         """Sets ``aside`` of every agent; ``carrying`` are the numbers of those that hold something."""
         for number, walker in self._walkers.items():

@@ -100,14 +100,7 @@ def floor_of(robot: Robot, base: BaseSpec, scene: Scene, free: FreeSpace) -> Fre
 @lru_cache(maxsize=16)
 def _wider_floor(robot: Robot, radius_m: float, scene: Scene, free: FreeSpace) -> FreeSpace:
     try:
-        floor = FreeSpace.from_scene(
-            scene,
-            radius_m=radius_m,
-            height_m=free.height_m,
-            max_climb_m=free.max_climb_m,
-            cell_m=free.cell_m,
-            floor_y=None if len(free.heights) else free.floor_y,
-        )
+        floor = free.as_in(scene, radius_m=radius_m)
     except SceneError:
         floor = None
     if floor is None or not len(floor.polygon.geoms):

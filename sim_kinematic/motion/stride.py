@@ -230,12 +230,18 @@ class Strider:
         """
         if spec.stride is None:
             raise InputError("Expected a walker with a stride, got one who turns on the spot.")
-        self._grid = free.sdf, free.origin, free.cell_m, free.heights, radius_m
+        self._radius_m = radius_m
+        self.walk_on(free)
         self._rules = spec.speed_mps, spec.stride.limits, round(spec.stride.patience_s / STEP_S), STEP_S
         self._path, self._cumulative = np.zeros((2, 2)), np.zeros(2)
         self._state = np.zeros(10)
         self._halts, self._facing = halts, math.nan
         self.arrived = True
+
+    def walk_on(self, free: FreeSpace) -> None:
+        """Takes another floor under the same path."""
+        self.free = free
+        self._grid = free.sdf, free.origin, free.cell_m, free.heights, self._radius_m
 
     def halt(self) -> None:
         """Something else has brought the person to a stand."""

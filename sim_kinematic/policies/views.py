@@ -121,8 +121,8 @@ class RearrangeView(NamedTuple):
     collision: bool
     """Agents touch now."""
     barrier: Callable[[int, bool], int] = lambda k, at_goal: -1
-    """Gives the number of the door or drawer that has to be opened first to take an object, or (True) to put it at its goal;
-    -1: none."""
+    """Gives the number of the door or drawer that has to be opened first to take an object, or (True) to bring it from there to
+    its goal; -1: none."""
 
     def left_to_do(self) -> list[int]:
         """Objects that are not at their goals and that the other does not hold."""

@@ -90,10 +90,11 @@ class Outcome:
 
 def rules_dict(spec: Any) -> dict[str, Any]:
     """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, and where
-    nobody is solid there is none of that, as in those made before there were such rules."""
+    nobody is solid and no floor moves there is none of that, as in those made before there were such rules."""
     rules = asdict(spec)
-    if not rules.get("solid_agents", True):
-        del rules["solid_agents"]
+    for name in ("solid_agents", "floor_moves"):
+        if not rules.get(name, True):
+            del rules[name]
     human = rules.get("human")
     if isinstance(human, dict) and human.get("stride", ...) is None:
         del human["stride"]

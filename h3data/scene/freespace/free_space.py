@@ -79,6 +79,17 @@ class FreeSpace(FloorMap):
             return cls.from_map(build())
         return cls.from_map(*store.cached(scene_key(scene, **sizes, floor_y=floor_y, method=method), build))
 
+    def as_in(self, scene: Scene, *, radius_m: float | None = None) -> FreeSpace:
+        """The floor for the same agent, or one of another radius, in a scene that is this home in another state."""
+        return FreeSpace.from_scene(
+            scene,
+            radius_m=self.radius_m if radius_m is None else radius_m,
+            height_m=self.height_m,
+            max_climb_m=self.max_climb_m,
+            cell_m=self.cell_m,
+            floor_y=None if len(self.heights) else self.floor_y,
+        )
+
     @classmethod
     def load(cls, path: str | Path) -> FreeSpace:
         """The free space that `save` wrote."""

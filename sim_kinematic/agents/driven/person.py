@@ -30,7 +30,7 @@ from sim_kinematic.agents.person_skills import HANDS as HANDS_TRIED
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.skills import CONTROL, Action, Ending, Skill
-from sim_kinematic.agents.stands import nearest_stand, person_stands
+from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.motion.gait import drive_people
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import HumanState
@@ -100,7 +100,7 @@ class DrivenPerson(PersonActor):
         point, held = np.asarray(point, np.float64), self.objects.held(self.number)
         hands: tuple[Hand, ...] = HANDS_TRIED if held < 0 else self._hands(held)
         for hand in hands:
-            stands = self._clear_of_open(person_stands(self.free, self.person.body, point, hand))
+            stands = self._clear_of_open(self.stands(point, hand))
             k, _ = nearest_stand(self.free, stands, self.xz, None, partial(self._has_room, point=point, hand=hand))
             if k >= 0:
                 return stands[k]

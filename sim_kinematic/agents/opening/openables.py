@@ -48,6 +48,8 @@ class Openables:
     """Gives the discs ``(x, z, radius)`` [N, 3] of an agent."""
     agents: int = 0
     """How many agents there are."""
+    doors: frozenset[int] = frozenset()
+    """Joints of the doors between rooms: they are opened from both sides, and the walls are not in their way."""
     _scenes: dict[bytes, Scene] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -220,6 +222,8 @@ class Openables:
         motions = self.joints.motions(positions)
         own = {name for j in self._carried(k) for name in self.joints.parts[j][1].instances}
         own.add(self.joints.parts[k][0].base)
+        if k in self.doors:
+            own |= {i.name for i in self.scene.instances if self.scene.assets[i.asset].category == "wall"}
         scenery = self._scene_shapes()
         for j in self._carried(k):
             for instance, shapes in zip(self._instances[j], self._part_shapes(j), strict=True):

@@ -52,13 +52,14 @@ def full_way(openables: Openables, k: int) -> NDArray[np.float64]:
 def stands_before(
     openables: Openables, k: int, stands: Array, offsets: Sequence[float], radius_m: float
 ) -> NDArray[np.bool_]:
-    """Which stands ``(x, z, heading)`` [N, 3] for a handle are before it, and neither in the way of its part nor in that of
-    another that is open."""
+    """Which stands ``(x, z, heading)`` [N, 3] for a handle are before it, on either side of a door, and neither in the way of its
+    part nor in that of another that is open."""
     joint = openables.joints.parts[k][1].joint
     ends = handle_way(openables, k, np.array([joint.closed, joint.opened]))
     outward = (ends[1] - ends[0])[[0, 2]]
     outward /= max(float(np.hypot(*outward)), 1e-9)
-    before = (stands[:, :2] - ends[0, [0, 2]]) @ outward > FRONT_M
+    before = np.full(len(stands), k in openables.doors)
+    before |= (stands[:, :2] - ends[0, [0, 2]]) @ outward > FRONT_M
     swept = openables.points(k, np.linspace(joint.closed, joint.opened, 12))[:, [0, 2]]
     points = np.concatenate([swept, openables.open_points()])
     return before & stands_clear(stands, points, offsets, radius_m)

@@ -21,7 +21,9 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.habitat.episodes.stored_rearrangements import EpisodeObject
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
+from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.driven.object_room import object_extent
+from sim_kinematic.agents.opening.doorways import Doorways
 from sim_kinematic.agents.opening.openables import Openables, stands_clear
 from sim_kinematic.agents.opening.reachable import Reachable, is_drawer, within_reach
 from sim_kinematic.agents.opening.skills import stands_before
@@ -95,6 +97,9 @@ class RearrangeSpec:
 
     solid_agents: bool = field(default=False, repr=False)
     """As in `sim_kinematic.motion.spec.SocialNavSpec`; a person under commands then heeds one robot too."""
+    floor_moves: bool = field(default=False, repr=False)
+    """Whether what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
+    something opens; those from before 0.3 know nothing of it."""
 
     def __post_init__(self) -> None:
         if self.people_give_way is None:
@@ -191,14 +196,14 @@ def draw_episode(
     """Starts, objects and goals of the episode with this seed."""
     rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
     fits = robot_fits(robot, spec.robot, scene, free)
-    movable = _movable(scene, spec)
+    movable, doorways = _movable(scene, spec), Doorways.of(scene, free)
     surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m or is_drawer(scene, i)]
     if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
         raise SceneError(
             f"Rearranging {spec.objects} objects needs as many movable things and open receptacles on two pieces of "
             f"furniture; scene {scene.name!r} has {len(movable)} things and {len(surfaces)} receptacles."
         )
-    draw = _Draw(scene, free, spec, robot, human, surfaces)
+    draw = _Draw(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
     budget = SPARE * spec.max_steps * STEP_S
     longest = (budget - HANDLING_S * spec.objects) * spec.human.speed_mps
     leg = longest / (2 * spec.objects)
@@ -236,7 +241,9 @@ def seconds_alone(
     targets: tuple[Target, ...],
 ) -> float:
     """Estimated time a person alone takes for all objects [s]; infinite where an object or a goal is out of reach."""
-    return _Draw(scene, free, spec, robot, human, []).seconds_alone(starts, targets)
+    doorways = Doorways.of(scene, free)
+    draw = _Draw(doorways.open_scene, doorways.open_floor, spec, robot, human, [], doorways)
+    return draw.seconds_alone(starts, targets)
 
 
 def free_spot(
@@ -254,7 +261,8 @@ def free_spot(
 
     ``taken`` lists positions [3] and radii [m] of other things; the spot is added to it.
     """
-    draw = _Draw(scene, free, spec, robot, human, surfaces)
+    doorways = Doorways.of(scene, free)
+    draw = _Draw(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
     tries = (draw._place(rng, thing, taken, np.zeros(2), np.inf) for _ in range(SPOT_ATTEMPTS))
     return next((spot for spot in tries if spot is not None), None)
 
@@ -283,6 +291,8 @@ class _Draw:
     robot: Robot
     human: Humanoid
     surfaces: list[tuple[Instance, Receptacle]]
+    doorways: Doorways
+    """Of the home; ``scene`` and ``free`` have all doors open."""
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
     """A person's, by point."""
     _openable: dict[int, bool] = field(default_factory=dict)
@@ -400,7 +410,8 @@ class _Draw:
     def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:
         """About how long a person alone takes for all objects, one after the other [s]; infinite when there is no way."""
         here, heading = starts.human_xz, starts.human_heading
-        way, turned, opened, walker = 0.0, 0.0, 0, self.spec.human
+        way, turned, opened, walker, doors = 0.0, 0.0, 0, self.spec.human, set[int]()
+        positions = joints_of(self.doorways.scene).rest
         for target in targets:
             for point, receptacle in ((target.start[:3], target.source), (target.goal, target.destination)):
                 place = within_reach(self.scene, receptacle, point)
@@ -409,13 +420,14 @@ class _Draw:
                     return np.inf
                 opened += len(place.opened)
                 path = walking_path(self.free, *np.array([here, stand[:2]], np.float64), walker)
+                doors.update(self.doorways.crossed(path, positions, self.free.radius_m))
                 legs = np.diff(path, axis=0)
                 if walker.clearance_m:  # the detour around corners: 6% of the time where there are many
                     length = float(np.hypot(*legs.T).sum())
                 headings = [heading, *np.arctan2(-legs[:, 1], legs[:, 0]), stand[2]]
                 turned += float(np.abs(wrap_angle(np.diff(headings))).sum())
                 here, heading, way = stand[:2], float(stand[2]), way + length
-        pace = way / walker.speed_mps + OPENING_S * opened
+        pace = way / walker.speed_mps + OPENING_S * (opened + len(doors))
         if walker.stride is None:
             return pace + turned / walker.turn_rad_s + HANDLING_S * len(targets)
         setting_off = walker.speed_mps / 2 * (1 / walker.stride.accel_mps2 + 1 / walker.stride.decel_mps2)

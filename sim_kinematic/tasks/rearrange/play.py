@@ -22,13 +22,14 @@ from h3data.scene.articulation import AJAR, joint_names
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
 from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
+from sim_kinematic.agents.opening.doorways import Doorways
 from sim_kinematic.agents.opening.openables import Openables
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_arm_clearance import arm_clearance
 from sim_kinematic.agents.robot_skills import RobotActor
-from sim_kinematic.agents.roster import kinds_of
+from sim_kinematic.agents.roster import common_floor, kinds_of
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, Action, Ending, Objects, Skill
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
@@ -207,6 +208,9 @@ class RearrangePlay:
         state.object_pose[0] = [t.start for t in world.targets]
         self.state = state
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state, joints)
+        self.doorways = Doorways.of(world.scene, world.free)
+        self.floor = world.free
+        """As it is now, with the doors and drawers that are open."""
         self.openables = self._openables()
         self.starts = state.object_pose[0, :, :3].copy()
         self.actors = [self._actor(number) for number in range(len(world.roster))]
@@ -272,7 +276,8 @@ class RearrangePlay:
         if not self.objects.joints:
             return None
         found = Openables(
-            world.scene, self.objects, world.free.floor_y, discs=self._discs_of, agents=len(world.roster)
+            world.scene, self.objects, world.free.floor_y, discs=self._discs_of, agents=len(world.roster),
+            doors=frozenset(self.doorways.joints),
         )  # fmt: skip
         self.state.joint_pos[0] = found.joints.rest.astype(np.float32)  # as they are recorded
         return found
@@ -300,7 +305,15 @@ class RearrangePlay:
             self._show_scene(openables.scene_now())
 
     def _show_scene(self, scene: Scene) -> None:
-        floor_y = self.episode.free.floor_y
+        world, floor_y = self.episode, self.episode.free.floor_y
+        if world.spec.floor_moves:
+            self.floor = common_floor(world.roster, world.free.as_in(scene))
+            if self.right_of_way is not None:
+                self.right_of_way.walk_on(self.floor)
+            for actor in self.actors:
+                robot = actor.robot if isinstance(actor, RobotActor) else None
+                base = None if robot is None else base_of(robot, world.spec.robot)
+                actor.walk_on(self.floor if robot is None else floor_of(robot, base, scene, self.floor))
         for actor in self.actors:
             if isinstance(actor, RobotActor):
                 actor.arm_clearance = arm_clearance(scene, actor.robot, floor_y)
@@ -399,19 +412,33 @@ class RearrangePlay:
         ahead, aside = _seen(xz, heading, other_xz)
         a, b = self.episode.spec.near_m
         return RearrangeView(
-            step=self.step, free=self.episode.free, agent=runner.number, xz=xz, heading=heading,
+            step=self.step, free=self.doorways.open_floor, agent=runner.number, xz=xz, heading=heading,
             other_xz=other_xz, other_track=track[-TRACK:].copy(), close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
             objects=self.objects.poses[:, :3].copy(), goals=self.objects.goals, held_by=self.objects.held_by.copy(),
             at_goal=self._at_goal(), action=runner.action, last=runner.ending,
             starts=self.starts, hand=lambda: me.hand_pose, arm=me.arm,
             start=self.episode.starts[runner.number], before=self.before[runner.number], collision=self.collision,
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
-            barrier=self.barrier,
+            barrier=partial(self.barrier, me),
         )  # fmt: skip
 
-    def barrier(self, k: int, at_goal: bool) -> int:
-        """As `RearrangeView.barrier`."""
-        return -1 if self.openables is None else self.openables.barrier_of(k, at_goal=at_goal)
+    def barrier(self, actor: AnyActor, k: int, at_goal: bool) -> int:
+        """As `RearrangeView.barrier`, of an agent."""
+        if self.openables is None:
+            return -1
+        shut, positions = self.openables.barrier_of(k, at_goal=at_goal), self.openables.positions
+        if not (self.doorways.joints and self.episode.spec.floor_moves):
+            return shut
+        here, there = self.objects.poses[k, [0, 2]], self.objects.goals[k, [0, 2]]
+        if shut >= 0:
+            ways = [(actor.xz, self.openables.handles(positions)[shut][[0, 2]])]
+        else:
+            ways = [(here, there)] if at_goal else [(actor.xz, here)]
+        door, nearer = shut, self.doorways.first(ways, self.floor, positions)
+        while nearer >= 0 and nearer != door:
+            door = nearer
+            nearer = self.doorways.first([(actor.xz, self.doorways.middle(door))], self.floor, positions)
+        return door
 
     def _at_goal(self) -> NDArray[np.bool_]:
         """Which objects are at their goals and in nobody's hand, [K]."""

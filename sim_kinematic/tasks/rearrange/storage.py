@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import msgspec
@@ -122,13 +123,15 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             if isinstance(body, Robot):
                 body.require_arm()
         scene, targets = self._furnished(record, place)
+        if not record.rules:
+            spec = replace(spec, floor_moves=bool(scene.articulations))
         if record.placements:
             targets += placed(scene, place.free, record.seed, spec, record.placements, pair)
         starts, complete = self._starts(record, place, scene, targets, pair)
         unchanged = (
             complete
             and record.sampled_sha256 == content_digest(record)
-            and spec == self.rules(record)
+            and place.spec == self.rules(record)
             and (pair[0], split_walk(pair[1])[0])
             == (record.robot.removeprefix("robot/"), record.human.removeprefix("humanoid/"))
         )

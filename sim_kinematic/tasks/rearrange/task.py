@@ -100,6 +100,7 @@ class Rearrange(Task):
         self.check_roster(roster)
         robot, human = pair_of(roster)
         free = common_floor(roster, free)
+        spec = replace(spec, floor_moves=bool(scene.articulations))
         starts, targets = draw_episode(scene, free, seed, spec, load_robot(robot), load_humanoid(human))
         return RearrangeEpisode(
             scene=scene,
