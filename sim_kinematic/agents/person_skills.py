@@ -194,9 +194,14 @@ class PersonActor:
             return Ending("failed", "no_room" if gets_there else "no_way")
         return (yield from self._go_to(stands[k], point))
 
-    def stands(self, point: NDArray, hand: Hand) -> Array:
+    def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
         """Stands ``(x, z, heading)`` [N, 3] that can be walked to, from which a hand reaches a world point [3]."""
-        return person_stands(self.free, self.person.body, point, hand, island=island_of(self.free, self.xz))
+        free = free or self.free
+        return person_stands(free, self.person.body, point, hand, island=island_of(free, self.xz))
+
+    def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
+        """As `stands`, for either hand, were the floor as in ``free``."""
+        return np.concatenate([self.stands(point, hand, free) for hand in HANDS])
 
     def walk_on(self, free: FreeSpace) -> None:
         """The floor is another one from now on: something of the home has opened or closed."""

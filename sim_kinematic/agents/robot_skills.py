@@ -306,6 +306,10 @@ class RobotActor:
         """Stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
         return robot_stands(self.free, self.robot, base or self.base, point, island=island_of(self.free, self.xz))
 
+    def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
+        """As `stands`, were the floor as in ``free``."""
+        return robot_stands(free, self.robot, self.base, point, island=island_of(free, self.xz))
+
     def walk_on(self, free: FreeSpace) -> None:
         """The floor is another one from now on: something of the home has opened or closed."""
         self.free = free

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import joints_of
 from h3data.scene.freespace.passages import outlines, passable, passages
+from sim_kinematic.agents.stands import nearest_stand
 
-SNAP_M = 2.0
-"""Ends of a way are at most so far from the floor."""
 DETOUR_M = 4.0
 """Agents rather walk so much farther than open a door."""
+BESIDE_M = 1.0
+"""Where nobody can stand because a door is closed, it is at most so far away."""
 OPEN_SHARE = 0.95
 """Doors that are open by this share of their range are not in the way."""
 
@@ -40,6 +40,17 @@ class Doorways:
         there = passable(scene, free)
         return Doorways(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
 
+    def sides(self, k: int, stands: Array) -> tuple[bool, bool]:
+        """Whether some stands ``(x, z, heading)`` [N, 3] are on the one and on the other side of a closed door."""
+        closed = joints_of(self.scene).rest.copy()
+        closed[k] = joints_of(self.scene).closed[k]
+        box = shapely.union_all(outlines(self.scene, k, closed)).minimum_rotated_rectangle
+        corners = shapely.get_coordinates(box)
+        longest = max(np.diff(corners[:3], axis=0), key=lambda edge: float(np.hypot(*edge)))
+        off = stands[:, :2] - corners[:4].mean(0)
+        side = off[:, 0] * longest[1] - off[:, 1] * longest[0]
+        return bool((side > 0).any()), bool((side < 0).any())
+
     def crossed(self, path: Array, positions: Array, radius_m: float) -> list[int]:
         """The doors, not open with the joints of the home at ``positions`` [J], by which a path [N, 2] leads, in its order."""
         shares = joints_of(self.scene).shares(positions)
@@ -55,27 +66,23 @@ class Doorways:
                     break
         return [k for _, k in sorted(found)]
 
-    def first(self, ways: Sequence[tuple[Array, Array]], floor: FreeSpace, positions: Array) -> int:
-        """The first door on some ways, each from a floor point [2] to another, that has to be opened; -1: none.
+    def any_closed(self, positions: Array) -> bool:
+        """Whether one of the doors is in the way with the joints of the home at ``positions`` [J]."""
+        return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= OPEN_SHARE).any())
+
+    def first(self, start: Array, stands: Callable[[FreeSpace], Array], floor: FreeSpace, positions: Array) -> int:
+        """The first door that has to be opened to get from a floor point [2] to a place to stand; -1: none.
 
         Args:
-            ways: The ways, in the order in which they are taken.
+            start: The floor point.
+            stands: Gives the places ``(x, z, heading)`` [N, 3] on a floor.
             floor: The floor with the joints of the home at ``positions`` [J].
             positions: Of all joints.
         """
-        if not self.joints:
+        wanted = stands(self.open_floor)
+        k, direct = nearest_stand(self.open_floor, wanted, start)
+        if k < 0 or nearest_stand(floor, stands(floor), start)[1] <= direct + DETOUR_M:
             return -1
-        for a, b in ways:
-            direct = float(self.open_floor.geodesic(a, b, max_snap_m=SNAP_M))
-            if float(floor.geodesic(a, b, max_snap_m=SNAP_M)) <= direct + DETOUR_M:
-                continue
-            doors = self.crossed(self.open_floor.path(a, b, max_snap_m=SNAP_M), positions, self.open_floor.radius_m)
-            if doors:
-                return doors[0]
-        return -1
-
-    def middle(self, k: int) -> NDArray[np.float64]:
-        """The floor point [2] in the middle of a doorway."""
-        closed = joints_of(self.scene).rest.copy()
-        closed[k] = joints_of(self.scene).closed[k]
-        return shapely.get_coordinates(shapely.union_all(outlines(self.scene, k, closed)).centroid)[0]
+        path = self.open_floor.path(start, wanted[k, :2])
+        doors = self.crossed(path, positions, self.open_floor.radius_m) or self.crossed(path[-2:], positions, BESIDE_M)
+        return doors[0] if doors else -1

@@ -61,17 +61,18 @@ def _opened(
     """The home with some parts open, the motions [J, 4, 4] of all parts, where the open ones stand, and the parts with the home
     before each was opened; None if one of them is obstructed, the others being as the scene has them."""
     joints = joints_of(scene)
-    openables, before = _openables(scene, joints.rest), list[tuple[Openables, int]]()
+    openables, before = openables_at(scene, joints.rest), list[tuple[Openables, int]]()
     for k in sorted(needed, key=lambda k: joints.parts[k][1].joint.kind == "prismatic"):  # doors first
         if openables.obstacle(k, opens=True):
             return None
-        before.append((_openables(scene, openables.positions), k))
+        before.append((openables_at(scene, openables.positions), k))
         openables.positions[k] = joints.opened[k]
     positions = openables.positions
     return posed(scene, positions), joints.motions(positions), openables.open_points(), tuple(before)
 
 
-def _openables(scene: Scene, positions: Array) -> Openables:
+def openables_at(scene: Scene, positions: Array, doors: frozenset[int] = frozenset()) -> Openables:
+    """The doors and drawers of a home, in which nothing moves, at positions [J]."""
     state = WorldState.zeros(1, robots=0, people=0, scene_joints=len(positions))
     state.joint_pos[0] = positions
-    return Openables(scene, Objects((), np.zeros((0, 3)), state), 0.0)
+    return Openables(scene, Objects((), np.zeros((0, 3)), state), 0.0, doors=doors)

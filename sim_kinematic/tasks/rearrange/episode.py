@@ -25,7 +25,7 @@ from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.opening.doorways import Doorways
 from sim_kinematic.agents.opening.openables import Openables, stands_clear
-from sim_kinematic.agents.opening.reachable import Reachable, is_drawer, within_reach
+from sim_kinematic.agents.opening.reachable import Reachable, is_drawer, openables_at, within_reach
 from sim_kinematic.agents.opening.skills import stands_before
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
@@ -370,15 +370,30 @@ class _Draw:
     def _both_open(self, openables: Openables, joint: int) -> bool:
         """Whether both agents find a stand from which they open a part."""
         if joint not in self._openable:
-            handle = openables.handles(openables.positions)[joint]
-            base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
-            people = np.concatenate([person_stands(self.free, self.human, handle, hand) for hand in HANDS])
-            robots = robot_stands(floor_of(self.robot, base, self.scene, self.free), self.robot, base, handle)
-            self._openable[joint] = bool(
-                stands_before(openables, joint, people, discs.offsets_m, discs.radius_m).any()
-                and stands_before(openables, joint, robots, base.disc_offsets_m, base.disc_radius_m).any()
-            )
+            self._openable[joint] = all(len(stands) for stands in self._stands_before(openables, joint))
         return self._openable[joint]
+
+    def _both_open_door(self, joint: int) -> bool:
+        """Whether both agents open a door from either side."""
+        if joint not in self._openable:
+            joints = joints_of(self.doorways.scene)
+            positions = joints.rest.copy()
+            positions[joint] = joints.closed[joint]
+            shut = openables_at(self.doorways.scene, positions, frozenset(self.doorways.joints))
+            both = self._stands_before(shut, joint)
+            self._openable[joint] = all(all(self.doorways.sides(joint, stands)) for stands in both)
+        return self._openable[joint]
+
+    def _stands_before(self, openables: Openables, joint: int) -> tuple[Array, Array]:
+        """Stands ``(x, z, heading)`` [N, 3] from which a person and the robot open a part."""
+        handle = openables.handles(openables.positions)[joint]
+        base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
+        people = np.concatenate([person_stands(self.free, self.human, handle, hand) for hand in HANDS])
+        robots = robot_stands(floor_of(self.robot, base, self.scene, self.free), self.robot, base, handle)
+        return (
+            people[stands_before(openables, joint, people, discs.offsets_m, discs.radius_m)],
+            robots[stands_before(openables, joint, robots, base.disc_offsets_m, base.disc_radius_m)],
+        )
 
     @cached_property
     def _centers(self) -> Array:
@@ -421,6 +436,8 @@ class _Draw:
                 opened += len(place.opened)
                 path = walking_path(self.free, *np.array([here, stand[:2]], np.float64), walker)
                 doors.update(self.doorways.crossed(path, positions, self.free.radius_m))
+                if not all(map(self._both_open_door, doors)):
+                    return np.inf
                 legs = np.diff(path, axis=0)
                 if walker.clearance_m:  # the detour around corners: 6% of the time where there are many
                     length = float(np.hypot(*legs.T).sum())

@@ -31,6 +31,7 @@ from sim_kinematic.agents.robot_arm_clearance import arm_clearance
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.roster import common_floor, kinds_of
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, Action, Ending, Objects, Skill
+from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.yielding import NO_PATH
@@ -427,17 +428,21 @@ class RearrangePlay:
         if self.openables is None:
             return -1
         shut, positions = self.openables.barrier_of(k, at_goal=at_goal), self.openables.positions
-        if not (self.doorways.joints and self.episode.spec.floor_moves):
+        if not self.episode.spec.floor_moves or not self.doorways.any_closed(positions):
             return shut
-        here, there = self.objects.poses[k, [0, 2]], self.objects.goals[k, [0, 2]]
+        handles, start = self.openables.handles(positions), actor.xz
+        point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
         if shut >= 0:
-            ways = [(actor.xz, self.openables.handles(positions)[shut][[0, 2]])]
-        else:
-            ways = [(here, there)] if at_goal else [(actor.xz, here)]
-        door, nearer = shut, self.doorways.first(ways, self.floor, positions)
+            point = handles[shut]
+        elif at_goal and self.objects.held_by[k] == NOBODY:  # from where it lies
+            stands = actor.stands_on(self.doorways.open_floor, self.objects.poses[k, :3])
+            nearest = nearest_stand(self.doorways.open_floor, stands, start)[0]
+            start = stands[nearest, :2] if nearest >= 0 else start
+        door, nearer = shut, self.doorways.first(start, partial(actor.stands_on, point=point), self.floor, positions)
         while nearer >= 0 and nearer != door:
             door = nearer
-            nearer = self.doorways.first([(actor.xz, self.doorways.middle(door))], self.floor, positions)
+            stands_before = partial(actor.stands_on, point=handles[door])
+            nearer = self.doorways.first(actor.xz, stands_before, self.floor, positions)
         return door
 
     def _at_goal(self) -> NDArray[np.bool_]:
