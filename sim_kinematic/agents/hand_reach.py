@@ -33,6 +33,8 @@ HEIGHTS_M = (0.45, 0.75, 0.95)
 """Heights of tables and counters, by which the direction is chosen."""
 
 
+ASIDE_RAD = (0.0, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2)
+"""Directions, from that in which a robot reaches, in which it takes handles where its base cannot turn to face them."""
 REACH_SLACK_M = 0.01
 """Far more than the tolerances of the search let a hand be off its target."""
 
@@ -133,6 +135,12 @@ def _found_bearing(robot: Robot) -> float:
         if any(len(reach_distances(aimed, height)) for height in HEIGHTS_M):
             return bearing
     return 0.0
+
+
+@lru_cache(maxsize=256)
+def aimed(robot: Robot, aside_rad: float) -> Robot:
+    """The robot, reaching so far to the left of where it does."""
+    return replace(robot, reach_bearing=reach_bearing(robot) + aside_rad) if aside_rad else robot
 
 
 @lru_cache(maxsize=1024)

@@ -294,7 +294,9 @@ class PersonActor:
         waited, left = 0, False
         while not strider.arrived and waited <= AVOIDANCE.patience_steps:
             left |= self.aside is not None
-            if (left and self.aside is None) or strider.free is not self.free:  # back from where they had stepped aside to
+            if (
+                left and self.aside is None
+            ) or strider.free is not self.free:  # back from where they had stepped aside to
                 strider.walk_on(self.free)
                 strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
                 waited, left = 0, False

@@ -14,13 +14,28 @@ from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.hand_reach import hand_turn, is_beyond_reach, reach_bearing, reach_distances, reach_posture
+from sim_kinematic.agents.hand_reach import (
+    ASIDE_RAD,
+    aimed,
+    hand_turn,
+    is_beyond_reach,
+    reach_bearing,
+    reach_distances,
+    reach_posture,
+)
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.opening.openables import Openables, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
 from sim_kinematic.agents.robot_arm_clearance import ArmClearance, reach_line
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
-from sim_kinematic.agents.stands import discs_fit, island_of, nearest_stand, robot_stands
+from sim_kinematic.agents.stands import (
+    CROWDED_M,
+    discs_fit,
+    handle_stands,
+    island_of,
+    nearest_stand,
+    robot_stands,
+)
 from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
@@ -31,6 +46,10 @@ from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT, RobotState
 from sim_kinematic.motion.step import drive_robots
 
+FAR_M = 1000.0
+"""A point so far away is in one direction from wherever the base stands."""
+TRIED, TURN_M_RAD = 24, 1.0
+"""So many of the nearest stands are looked at, and turning there by one radian counts as so much of a path [m]."""
 STUCK_STEPS = 60
 """Steps without getting nearer to its destination after which a base gives up."""
 ARRIVED_M = 0.04
@@ -197,7 +216,7 @@ class RobotActor:
         if action.skill in ("open", "close"):
             why = why_not(openables, self.number, action)
             handle = openables.handles(openables.positions)[k]
-            return why or ("" if self._posture(self._hand_at(handle)) is not None else "out_of_reach")
+            return why or ("" if self._hold(handle) is not None else "out_of_reach")
         if action.skill in ("pick", "place") and openables.barrier_of(k, at_goal=action.skill == "place") >= 0:
             return "closed"
         return ""
@@ -329,14 +348,37 @@ class RobotActor:
             if np.isfinite(left):
                 yield from self._fold_arm()
                 return (yield from self.drive_to(near[n, :2], facing=way[0, [0, 2]]))
-        return Ending("failed", "no_way")
+        stands = handle_stands(self.free, self.robot, base, way[0], island=island_of(self.free, self.xz))
+        stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
+        n = self._straightest(stands)
+        if n < 0:
+            return Ending("failed", "no_way")
+        yield from self._fold_arm()
+        ahead = stands[n, 2] + reach_bearing(self.robot)
+        facing = stands[n, :2] + FAR_M * np.array([np.cos(ahead), -np.sin(ahead)])
+        return (yield from self.drive_to(stands[n, :2], facing=facing))
+
+    def _straightest(self, stands: Array) -> int:
+        """The stand ``(x, z, heading)`` of [N, 3] that is near and at which it arrives nearly turned as it is to stand; -1: it
+        gets to none."""
+        lengths = self.free.geodesic(np.broadcast_to(self.xz, (len(stands), 2)), stands[:, :2])
+        crowded = CROWDED_M * self._crowded(stands) if len(stands) else lengths
+        order = np.argsort(lengths + crowded, kind="stable")
+        best, least = -1, np.inf
+        for n in order[np.isfinite(lengths[order])][:TRIED].tolist():
+            leg = np.diff(self.free.path(self.xz, stands[n, :2], max_snap_m=1.0)[-2:], axis=0)
+            came = float(np.arctan2(-leg[-1, 1], leg[-1, 0])) if len(leg) else self.heading
+            cost = lengths[n] + crowded[n] + TURN_M_RAD * abs(float(wrap_angle(stands[n, 2] - came)))
+            best, least = (n, cost) if cost < least else (best, least)
+        return best
 
     def _move_part(self, k: int, *, opens: bool) -> Skill:
         """Opens or closes a part: the hand takes its handle and leads it as far as the arm reaches."""
         assert self.openables is not None
         leading = Leading(self.openables, k, opens=opens)
-        posture = self._posture(self._hand_at(leading.handles[0]))
-        assert posture is not None, "checked before it starts"
+        held = self._hold(leading.handles[0])
+        assert held is not None, "checked before it starts"
+        robot, posture = held
         yield from self._bring_arm(posture)
         follows = True
         for step in range(len(leading.way)):
@@ -345,7 +387,7 @@ class RobotActor:
                     return Ending("failed", "blocked")
                 self._step(0.0, 0.0, avoid=False)
                 yield
-            hand = self._hand_at(leading.handles[step])
+            hand = self._hand_at(leading.handles[step], robot)
             if follows and not is_beyond_reach(self.robot, hand):
                 answer = reach_posture(self.robot, hand, self.arm_goal, restarts=0)
                 follows = bool(answer.reached)
@@ -535,10 +577,20 @@ class RobotActor:
         turned = pose_multiply(np.append(np.zeros(3), hand_turn(self.robot)), grip)
         return np.concatenate([hand[:3] - turned[:3], hand[3:]])
 
-    def _hand_at(self, point: NDArray) -> Array:
-        """pose7 of the hand, in the agent root frame, with what it holds things at on a world point [3]."""
+    def _hand_at(self, point: NDArray, robot: Robot | None = None) -> Array:
+        """pose7 of the hand, in the agent root frame, with what it holds things at on a world point [3]; turned as that of
+        ``robot``, which may reach to the side (`aimed`)."""
         local = pose_multiply(pose_inverse(self.pose), np.append(point, [0, 0, 0, 1.0]))
-        return np.concatenate([local[:3], hand_turn(self.robot)])
+        return np.concatenate([local[:3], hand_turn(robot or self.robot)])
+
+    def _hold(self, handle: NDArray) -> tuple[Robot, Array] | None:
+        """How it takes a handle at a world point [3]: itself, as it reaches, and a posture; None: it cannot from here."""
+        for aside in ASIDE_RAD:
+            robot = aimed(self.robot, aside)
+            posture = self._posture(self._hand_at(handle, robot))
+            if posture is not None:
+                return robot, posture
+        return None
 
     def _posture(self, hand: Array) -> Array | None:
         if is_beyond_reach(self.robot, hand):

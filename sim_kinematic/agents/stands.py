@@ -11,7 +11,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.hand_reach import reach_bearing, reach_distances
+from sim_kinematic.agents.hand_reach import ASIDE_RAD, aimed, reach_bearing, reach_distances
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.contact.clearance import clear_of_furniture
 from sim_kinematic.contact.frames import root_pose
@@ -30,13 +30,12 @@ CROWDED_M = 100.0
 """A path longer by this is taken rather than standing where another agent stands."""
 ROOM_M = 0.02
 """Free space around a robot's base where it stands and turns."""
+APPROACH_M = 0.3
 LEVEL_M = 0.01
 """Floors that differ by less are one."""
 
 
-def person_stands(
-    free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right", *, island: int = 0
-) -> Array:
+def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right", *, island: int = 0) -> Array:
     """Returns stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on an island of the floor."""
     point = np.asarray(point, np.float64)
     side = HAND_SIDE_RAD if hand == "right" else -HAND_SIDE_RAD
@@ -78,6 +77,26 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
     stands = _on_island(free, point, _ring(point, distances, -reach_bearing(robot)), island)
     radius = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + ROOM_M
     return stands[free.signed_distance(stands[:, :2]) >= radius]
+
+
+def handle_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
+    """Returns stands as `robot_stands` in which the base need not be able to turn around, and the hand may reach to the side:
+    it fits there, and on the last `APPROACH_M` straight ahead or back."""
+    point = np.asarray(point, np.float64)
+    height, found = float(point[1] - free.height_at(point[[0, 2]])), [np.zeros((0, 3))]
+    for aside in ASIDE_RAD:
+        turned = aimed(robot, aside)
+        found.append(
+            _on_island(free, point, _ring(point, reach_distances(turned, height), -reach_bearing(turned)), island)
+        )
+    stands = np.concatenate(found)
+    way = np.stack([np.cos(stands[:, 2]), -np.sin(stands[:, 2])], axis=1)
+    room = [np.full(len(stands), np.inf)] * 3
+    for offset in base.disc_offsets_m:
+        for k, moved in enumerate((0.0, -APPROACH_M, APPROACH_M)):
+            room[k] = np.minimum(room[k], free.signed_distance(stands[:, :2] + (offset + moved) * way))
+    there, back, ahead = (least >= base.disc_radius_m + ROOM_M for least in room)
+    return stands[there & (back | ahead)]
 
 
 def nearest_stand(

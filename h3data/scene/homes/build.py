@@ -13,7 +13,7 @@ from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE, quat_from_heading
 from h3data.scene.homes import structure
 from h3data.scene.homes.check import faults
-from h3data.scene.homes.doors import closed_by_chance, with_doors
+from h3data.scene.homes.doors import SWINGS_M, closed_by_chance, with_doors
 from h3data.scene.homes.floors import floor_mesh
 from h3data.scene.homes.furnishing.clutter import clutter, object_assets
 from h3data.scene.homes.furnishing.furniture_living import ceiling_lamp
@@ -173,11 +173,12 @@ def _sound_storey(spec: HomeSpec, attempt: int, layout: Layout, style: Style) ->
     scene = _storey(spec, attempt, layout, style)
     if not spec.doors:
         return scene, faults(scene)
-    hung = with_doors(scene, layout, style, stage_rng(spec, "doors", attempt))
-    if not (found := faults(hung)):
-        return hung, found
-    hung = with_doors(scene, layout, style, stage_rng(spec, "doors", attempt), swing=False)
-    return hung, faults(hung)
+    hung, found = scene, list[str]()
+    for swing_m in SWINGS_M:
+        hung = with_doors(scene, layout, style, stage_rng(spec, "doors", attempt), swing_m=swing_m)
+        if not (found := faults(hung)):
+            break
+    return hung, found
 
 
 def _storey(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> Scene:

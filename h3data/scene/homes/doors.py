@@ -31,6 +31,10 @@ WIDTH_M = (0.6, 1.2)
 BESIDE_M = 0.35
 """An open leaf stays so far away from other doorways."""
 SWING_RAD = np.pi / 2
+ALONG_M = 0.3
+"""A leaf this near to a wall stands along it."""
+SWINGS_M = (np.inf, ALONG_M, -1.0)
+"""How far from a wall leaves may stand, tried in this order until a home has no faults."""
 PRIVATE = ("bathroom", "bedroom", "child", "office", "laundry", "den", "library", "pantry")
 """Kinds of rooms into which leaves swing by preference, most private first."""
 CLOSED: dict[str, float] = {"bathroom": 0.6, "bedroom": 0.5, "child": 0.4, "office": 0.4, "laundry": 0.6, "pantry": 0.7}
@@ -59,8 +63,9 @@ class _Place:
     height: float
 
 
-def with_doors(scene: Scene, layout: Layout, style: Style, rng: np.random.Generator, *, swing: bool = True) -> Scene:
-    """The scene with a leaf in each of its doorways, all of them open; without ``swing`` all slide.
+def with_doors(scene: Scene, layout: Layout, style: Style, rng: np.random.Generator, *, swing_m: float) -> Scene:
+    """The scene with a leaf in each of its doorways, all of them open. Those swing that then stand within ``swing_m`` of a wall,
+    if nothing is in their way; the others slide.
 
     Doorways that are wide, and those beside which a wall is too short to slide into, stay as they are.
     """
@@ -72,7 +77,8 @@ def with_doors(scene: Scene, layout: Layout, style: Style, rng: np.random.Genera
         order = rng.permutation(2).tolist()
         places = [p for end in order for p in _places(layout, doorway, end)]
         color = style.trim if rng.random() < 0.6 else style.wood
-        place = next((p for p in _by_room(places) if swing and _swings(p, layout, doorway, [*boxes, *swept])), None)
+        near = [p for p in _by_room(places) if _to_corner(p) <= swing_m]
+        place = next((p for p in near if _swings(p, layout, doorway, [*boxes, *swept])), None)
         if place is not None:
             swept.append(_square(place))
             opening = _leaf(place, color, style.metal, slides=False)
@@ -140,7 +146,7 @@ def _places(layout: Layout, doorway: Doorway, end: int) -> list[_Place]:
 
 def _by_room(places: Sequence[_Place]) -> list[_Place]:
     """Private rooms first, then those where the leaf comes to stand along a wall."""
-    return sorted(places, key=lambda p: (p.room.category not in PRIVATE, _to_corner(p) > 0.3))
+    return sorted(places, key=lambda p: (p.room.category not in PRIVATE, _to_corner(p) > ALONG_M))
 
 
 def _to_corner(place: _Place) -> float:

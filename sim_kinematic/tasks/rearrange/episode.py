@@ -31,7 +31,7 @@ from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.robot_arm_clearance import arm_clearance
 from sim_kinematic.agents.roster import AgentSpec, kinds_of, make_roster, sample_places
-from sim_kinematic.agents.stands import nearest_stand, person_stands, robot_fits, robot_stands
+from sim_kinematic.agents.stands import handle_stands, nearest_stand, person_stands, robot_fits, robot_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
@@ -389,7 +389,8 @@ class _Draw:
         handle = openables.handles(openables.positions)[joint]
         base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
         people = np.concatenate([person_stands(self.free, self.human, handle, hand) for hand in HANDS])
-        robots = robot_stands(floor_of(self.robot, base, self.scene, self.free), self.robot, base, handle)
+        floor = floor_of(self.robot, base, self.scene, self.free)
+        robots = np.concatenate([f(floor, self.robot, base, handle) for f in (robot_stands, handle_stands)])
         return (
             people[stands_before(openables, joint, people, discs.offsets_m, discs.radius_m)],
             robots[stands_before(openables, joint, robots, base.disc_offsets_m, base.disc_radius_m)],
