@@ -8,9 +8,9 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from bake.open_kitchen import picture
 from numpy.typing import NDArray
 
+from bake.open_kitchen import picture
 from h3data.geometry import heading_from_quat
 from h3data.render import look_at, pinhole
 from h3data.render.image_files import write_jpg

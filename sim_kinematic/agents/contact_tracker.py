@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.geometry import Array
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Seen

@@ -11,7 +11,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.hand_reach import ASIDE_RAD, aimed, reach_bearing, reach_distances
+from sim_kinematic.agents.robots.hand_reach import ASIDE_RAD, aimed, reach_bearing, reach_distances
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.contact.clearance import clear_of_furniture
 from sim_kinematic.contact.frames import root_pose
@@ -36,7 +36,7 @@ LEVEL_M = 0.01
 
 
 def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right", *, island: int = 0) -> Array:
-    """Returns stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on an island of the floor."""
+    """Returns stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on an island."""
     point = np.asarray(point, np.float64)
     side = HAND_SIDE_RAD if hand == "right" else -HAND_SIDE_RAD
     distances = np.array(PERSON_DISTANCES_M)
@@ -71,7 +71,7 @@ def discs_fit(free: FreeSpace, base: BaseSpec, xz: Array, heading: float) -> boo
 
 def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike, *, island: int = 0) -> Array:
     """Returns stands ``(x, z, heading)`` [N, 3] on an island of the floor from which a robot's hand reaches a world point [3]
-    [m] (`sim_kinematic.agents.hand_reach`), and at which its base can turn all the way around."""
+    [m] (`sim_kinematic.agents.robots.hand_reach`), and at which its base can turn all the way around."""
     point = np.asarray(point, np.float64)
     distances = reach_distances(robot, float(point[1] - free.height_at(point[[0, 2]])))
     stands = _on_island(free, point, _ring(point, distances, -reach_bearing(robot)), island)
@@ -83,7 +83,7 @@ def handle_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLik
     """Returns stands as `robot_stands` in which the base need not be able to turn around, and the hand may reach to the side:
     it fits there, and on the last `APPROACH_M` straight ahead or back."""
     point = np.asarray(point, np.float64)
-    height, found = float(point[1] - free.height_at(point[[0, 2]])), [np.zeros((0, 3))]
+    height, found = float(point[1] - free.height_at(point[[0, 2]])), list[Array]()
     for aside in ASIDE_RAD:
         turned = aimed(robot, aside)
         found.append(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.geometry import Array
-from sim_kinematic.agents.robot_skills import RobotActor, checked_command
+from sim_kinematic.agents.robots.skills import RobotActor, checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
 from sim_kinematic.contact.frames import Body

@@ -20,7 +20,7 @@ from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.contact_tracker import AgentContactTracker
 from sim_kinematic.agents.person import Frame, Person, SkillResult
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import Ending, Objects, Skill
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.contact.frames import root_pose, walking_phase

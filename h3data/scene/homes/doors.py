@@ -64,8 +64,8 @@ class _Place:
 
 
 def with_doors(scene: Scene, layout: Layout, style: Style, rng: np.random.Generator, *, swing_m: float) -> Scene:
-    """The scene with a leaf in each of its doorways, all of them open. Those swing that then stand within ``swing_m`` of a wall,
-    if nothing is in their way; the others slide.
+    """The scene with a leaf in each of its doorways, all of them open. Those swing that then stand within ``swing_m`` of a
+    wall, if nothing is in their way; the others slide.
 
     Doorways that are wide, and those beside which a wall is too short to slide into, stay as they are.
     """

@@ -76,7 +76,8 @@ HOME_NAMES: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     }
 )
 """Options of `HomeSpec` by the name before the colon of a home: ``small:3``, ``small2:3`` is of the second generation, in
-``small-open:3`` and ``small2-open:3`` furniture opens, ``small2-storeys:3`` has two storeys, in ``small2-doors:3`` furniture and the doors between rooms open and close."""
+``small-open:3`` and ``small2-open:3`` furniture opens, ``small2-storeys:3`` has two storeys, in ``small2-doors:3`` furniture
+and the doors between rooms open and close."""
 
 
 _LATER: Mapping[str, Any] = MappingProxyType(
@@ -118,7 +119,7 @@ class HomeSpec:
     """2 adds an upper storey beside a stairwell (second generation, ``small`` and ``medium``). Area, bedrooms and bathrooms are
     those of each storey."""
     doors: bool = False
-    """Whether doorways have doors, some of them closed (second generation). Rooms, furniture and small objects stay the same."""
+    """Whether doorways have doors, some of them closed (second generation). The rest is as without."""
 
     def __repr__(self) -> str:
         """As of a plain dataclass; without the fields that came later where they are not set, because jobs and recordings have

@@ -28,7 +28,7 @@ from sim_kinematic.agents.driven.object_room import ObjectRoom
 from sim_kinematic.agents.person import FADE_STEPS
 from sim_kinematic.agents.person_skills import HANDS as HANDS_TRIED
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import CONTROL, Action, Ending, Skill
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.motion.gait import drive_people

@@ -11,7 +11,7 @@ import shapely
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import joints_of
-from h3data.scene.freespace.passages import outlines, passable, passages
+from h3data.scene.passages import outlines, passable, passages
 from sim_kinematic.agents.stands import nearest_stand
 
 DETOUR_M = 4.0

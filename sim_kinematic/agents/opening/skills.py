@@ -52,8 +52,8 @@ def full_way(openables: Openables, k: int) -> NDArray[np.float64]:
 def stands_before(
     openables: Openables, k: int, stands: Array, offsets: Sequence[float], radius_m: float
 ) -> NDArray[np.bool_]:
-    """Which stands ``(x, z, heading)`` [N, 3] for a handle are before it, on either side of a door, and neither in the way of its
-    part nor in that of another that is open."""
+    """Which stands ``(x, z, heading)`` [N, 3] for a handle are before it, on either side of a door, and neither in the way of
+    its part nor in that of another that is open."""
     joint = openables.joints.parts[k][1].joint
     ends = handle_way(openables, k, np.array([joint.closed, joint.opened]))
     outward = (ends[1] - ends[0])[[0, 2]]

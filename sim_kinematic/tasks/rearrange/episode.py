@@ -29,7 +29,7 @@ from sim_kinematic.agents.opening.reachable import Reachable, is_drawer, openabl
 from sim_kinematic.agents.opening.skills import stands_before
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
-from sim_kinematic.agents.robot_arm_clearance import arm_clearance
+from sim_kinematic.agents.robots.arm_clearance import arm_clearance
 from sim_kinematic.agents.roster import AgentSpec, kinds_of, make_roster, sample_places
 from sim_kinematic.agents.stands import handle_stands, nearest_stand, person_stands, robot_fits, robot_stands
 from sim_kinematic.agents.waypoint_walker import walking_path

@@ -27,8 +27,8 @@ from sim_kinematic.agents.opening.openables import Openables
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.robot_arm_clearance import arm_clearance
-from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.robots.arm_clearance import arm_clearance
+from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import common_floor, kinds_of
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, Action, Ending, Objects, Skill
 from sim_kinematic.agents.stands import nearest_stand
@@ -312,9 +312,11 @@ class RearrangePlay:
             if self.right_of_way is not None:
                 self.right_of_way.walk_on(self.floor)
             for actor in self.actors:
-                robot = actor.robot if isinstance(actor, RobotActor) else None
-                base = None if robot is None else base_of(robot, world.spec.robot)
-                actor.walk_on(self.floor if robot is None else floor_of(robot, base, scene, self.floor))
+                if isinstance(actor, RobotActor):
+                    base = base_of(actor.robot, world.spec.robot)
+                    actor.walk_on(floor_of(actor.robot, base, scene, self.floor))
+                else:
+                    actor.walk_on(self.floor)
         for actor in self.actors:
             if isinstance(actor, RobotActor):
                 actor.arm_clearance = arm_clearance(scene, actor.robot, floor_y)

@@ -23,7 +23,7 @@ from h3data.recording import Agent, Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene, joint_names
 from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_json, command_to_json, interrupts_skill
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.robot_skills import checked_command
+from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, kinds_of, make_roster
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed

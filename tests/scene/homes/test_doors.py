@@ -11,7 +11,7 @@ import pytest
 from h3data.errors import InputError
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home, load_scene, save_scene, scene_digest
 from h3data.scene.articulation import joints_of, posed
-from h3data.scene.freespace.passages import outlines, passable, passages
+from h3data.scene.passages import outlines, passable, passages
 
 SEEDS = (0, 1, 2, 4)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from h3data.bodies import load_robot
-from sim_kinematic.agents.hand_reach import hand_turn, is_beyond_reach, reach_posture
+from sim_kinematic.agents.robots.hand_reach import hand_turn, is_beyond_reach, reach_posture
 
 
 @pytest.mark.parametrize(("model", "spared"), [("quad_arm", 0.9), ("lift_arm", 0.0)])

@@ -9,9 +9,9 @@ from h3data.bodies import load_robot
 from h3data.geometry import pose_to_matrix
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.records import Box, instance_matrix
-from sim_kinematic.agents.hand_reach import DISTANCES_M
-from sim_kinematic.agents.robot_arm_clearance import APPROACH_M, ArmClearance, arm_clearance
-from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.robots.arm_clearance import APPROACH_M, ArmClearance, arm_clearance
+from sim_kinematic.agents.robots.hand_reach import DISTANCES_M
+from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import Action, Objects
 from sim_kinematic.agents.stands import robot_stands
 from sim_kinematic.motion.spec import BaseSpec

@@ -16,7 +16,7 @@ from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.freespace.build import build_from_walkable
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import Action, Ending, Objects
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path

@@ -15,7 +15,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 import h3data.envs
 from h3data.errors import InputError
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import CONTROL, Action, choices
 from sim_kinematic.envs.parallel import TaskParallelEnv
 from sim_kinematic.envs.single import TaskEnv

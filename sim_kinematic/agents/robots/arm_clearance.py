@@ -19,7 +19,7 @@ from h3data.scene.articulation import joints_of
 from h3data.scene.floor_heights import floor_heights, room_heights
 from h3data.scene.records import Capsule
 from sim_kinematic.agents.arm_contact import arm_links
-from sim_kinematic.agents.hand_reach import hand_target, is_beyond_reach, reach_posture
+from sim_kinematic.agents.robots.hand_reach import hand_target, is_beyond_reach, reach_posture
 from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, shapes_from_capsules
 from sim_kinematic.contact.clearance import scenery_of, supports
 

@@ -1,55 +1,36 @@
-"""The skills of a robot with an arm (paper section 4.2; spec/habitat.md 2.3, 2.4)."""
+"""How a robot with an arm drives to a place: around agents, out of narrow places, with what it holds."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
+from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.hand_reach import (
-    ASIDE_RAD,
-    aimed,
-    hand_turn,
-    is_beyond_reach,
+from sim_kinematic.agents.opening.openables import Openables
+from sim_kinematic.agents.robots.arm_clearance import ArmClearance
+from sim_kinematic.agents.robots.hand_reach import (
     reach_bearing,
-    reach_distances,
-    reach_posture,
 )
-from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
-from sim_kinematic.agents.opening.openables import Openables, stands_clear
-from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
-from sim_kinematic.agents.robot_arm_clearance import ArmClearance, reach_line
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import Ending, Objects, Skill
 from sim_kinematic.agents.stands import (
-    CROWDED_M,
     discs_fit,
-    handle_stands,
-    island_of,
-    nearest_stand,
-    robot_stands,
 )
 from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.velocity import braking_speed, eased, is_crowded, keep_clear
+from sim_kinematic.avoidance.velocity import braking_speed, eased, keep_clear
 from sim_kinematic.avoidance.yielding import NO_PATH, Seen, avoided, discs_of, path_around, retreat_place
 from sim_kinematic.contact.frames import root_pose
-from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec
-from sim_kinematic.motion.state import NOBODY, ROBOT, RobotState
+from sim_kinematic.motion.spec import STEP_S, BaseSpec
+from sim_kinematic.motion.state import ROBOT, RobotState
 from sim_kinematic.motion.step import drive_robots
 
-FAR_M = 1000.0
-"""A point so far away is in one direction from wherever the base stands."""
-TRIED, TURN_M_RAD = 24, 1.0
-"""So many of the nearest stands are looked at, and turning there by one radian counts as so much of a path [m]."""
 STUCK_STEPS = 60
 """Steps without getting nearer to its destination after which a base gives up."""
 ARRIVED_M = 0.04
@@ -58,29 +39,11 @@ NEARLY_M = 0.15
 """A base that has stalled is content with this distance."""
 FACING_RAD = 0.04
 """A base faces a point within this angle."""
-ARM_OUT_M = 0.05
-"""A base stands while the hand is farther from its middle than this beyond the folded arm's."""
-
-
-def checked_command(command: ArrayLike, robot: Robot) -> Array:
-    """Returns a low-level command, clipped to -1..1: base [2], arm [n], grip [1].
-
-    Raises:
-        InputError: It has another length or is not finite, or the robot has no arm.
-    """
-    count = len(robot.require_arm()) + 3
-    try:
-        action = np.asarray(command, np.float64)
-    except (TypeError, ValueError):
-        action = np.full(0, np.nan)
-    if action.shape != (count,) or not np.isfinite(action).all():
-        raise InputError(f"Expected a command of {count} finite numbers (base 2, arm, grip 1), got {command!r}.")
-    return np.clip(action, -1.0, 1.0)
 
 
 @dataclass(eq=False)
-class RobotActor:
-    """A robot with an arm. It moves ``objects.state``."""
+class RobotDriver:
+    """A robot with an arm, and how it gets about. It moves ``objects.state``."""
 
     robot: Robot
     free: FreeSpace
@@ -132,7 +95,6 @@ class RobotActor:
         self._held_up = np.full(3, np.inf), 0
         """Where it was when it last got on stepping aside, and how many steps ago."""
 
-    # --- state --------------------------------------------------------------------------------------------------------
     @property
     def is_robot(self) -> bool:
         return True
@@ -196,49 +158,9 @@ class RobotActor:
         frame = self.robot.link_matrices(IDENTITY_POSE[None], joints[None])[0, self.robot.hand_link]
         return frame[:3, 3] + frame[:3, :3] @ self.robot.hand_position
 
-    # --- skills -------------------------------------------------------------------------------------------------------
-    def infeasible(self, action: Action) -> str:
-        why = self.objects.why_not(self.number, action)
-        if not why and self.openables is not None:
-            why = self._barred(self.openables, action)
-        if why or action.skill not in ("pick", "place"):
-            return why
-        if self._posture(self._hand_target(action)) is None:
-            return "out_of_reach"
-        point = self.objects.poses[action.target, :3] if action.skill == "pick" else self.objects.goals[action.target]
-        clearance = self.arm_clearance
-        is_open = clearance is None or clearance.is_open(np.append(self.xz, self.heading), point)
-        return "" if is_open else "no_room"
-
-    def _barred(self, openables: Openables, action: Action) -> str:
-        """Why doors and drawers stand against an action."""
-        k = action.target
-        if action.skill in ("open", "close"):
-            why = why_not(openables, self.number, action)
-            handle = openables.handles(openables.positions)[k]
-            return why or ("" if self._hold(handle) is not None else "out_of_reach")
-        if action.skill in ("pick", "place") and openables.barrier_of(k, at_goal=action.skill == "place") >= 0:
-            return "closed"
-        return ""
-
-    def start(self, action: Action) -> Skill:
-        k = action.target
-        if action.skill == "nav_to_handle":
-            return self._navigate_to_handle(k)
-        if action.skill in ("open", "close"):
-            return self._reach(self._move_part(k, opens=action.skill == "open"))
-        if action.skill in PRIMITIVES:
-            forward, turn, steps = PRIMITIVES[action.skill]
-            return self._move(forward, turn, steps)
-        if action.skill == CONTROL:
-            return self._control(action.command)
-        if action.skill == "wait":
-            return self._wait(action.steps)
-        if action.skill.startswith("nav"):
-            return self._navigate(
-                self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k]
-            )
-        return self._reach(self._pick(k) if action.skill == "pick" else self._place(k))
+    def walk_on(self, free: FreeSpace) -> None:
+        """The floor is another one from now on: something of the home has opened or closed."""
+        self.free = free
 
     def idle(self) -> None:
         self._step(0.0, 0.0)
@@ -287,114 +209,6 @@ class RobotActor:
             corner = braking_speed(accel, math.hypot(to_x - x, to_z - z), AVOIDANCE.corner_mps)
             forward = min(forward, min(corner, braking_speed(accel, left_m)) / self.base.max_speed_mps)
         self._step(forward, self._turn(error), towards)
-
-    def _control(self, command: ArrayLike) -> Skill:
-        """Moves one step by base velocity, arm joints and grip, without avoidance."""
-        state, robot, rules = self.objects.state, self.robot, ArmSpec(grasp_m=self.grip_m)
-        action = checked_command(command, robot)
-        self.command = float(action[0]), float(action[1])
-        self._choose_base()
-        drive_robots(self.state, self.free, action[None, :2], self.base)
-        move_arms(self.state, robot, action[None, 2:-1], rules)
-        self.arm_goal = self.joints.copy()
-        hand = robot_hands(self.state, robot, self.free)
-        grip_objects(state, hand, action[-1:], rules, agent=self.number)
-        yield
-        return Ending("done")
-
-    def _navigate(self, point: NDArray) -> Skill:
-        """Drives to where the hand reaches a world point [3], and turns for it."""
-        stands = self.stands(point)
-        if not len(stands):  # with what it carries it cannot turn all around anywhere there: `lift_arm` with a box
-            stands = self.stands(point, self._empty_base)
-        if self.openables is not None:
-            ajar, base = self.openables.open_points(), self.base
-            stands = stands[stands_clear(stands, ajar, base.disc_offsets_m, base.disc_radius_m)]
-        k, left = self._stand_with_room(stands, point)
-        if not np.isfinite(left):
-            gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
-            return Ending("failed", "no_room" if gets_there else "no_way")
-        yield from self._fold_arm()
-        goal = stands[k, :2]
-        ending = yield from self.drive_to(goal, facing=point[[0, 2]])
-        if ending.outcome == "failed" and self.base.maneuvers:
-            self._gave_up.append(goal.copy())
-        return ending
-
-    def stands(self, point: NDArray, base: BaseSpec | None = None) -> Array:
-        """Stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
-        return robot_stands(self.free, self.robot, base or self.base, point, island=island_of(self.free, self.xz))
-
-    def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """As `stands`, were the floor as in ``free``."""
-        return robot_stands(free, self.robot, self.base, point, island=island_of(free, self.xz))
-
-    def walk_on(self, free: FreeSpace) -> None:
-        """The floor is another one from now on: something of the home has opened or closed."""
-        self.free = free
-
-    def _navigate_to_handle(self, k: int) -> Skill:
-        """Drives to where the hand reaches a handle, if possible along its whole way, and turns for it."""
-        assert self.openables is not None
-        way = handle_way(self.openables, k, full_way(self.openables, k))
-        stands = self.stands(way[0])
-        base = self.base
-        stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
-        reach = reach_distances(self.robot, float(way[-1, 1] - self.free.height_at(way[-1, [0, 2]])))
-        least, most = float(np.min(reach, initial=np.inf)), float(np.max(reach, initial=0.0))
-        ends = np.hypot(*(stands[:, :2] - way[-1, [0, 2]]).T)
-        for near in (stands[(ends >= least) & (ends <= most)], stands):
-            n, left = nearest_stand(self.free, near, self.xz, self._crowded(near) if len(near) else None)
-            if np.isfinite(left):
-                yield from self._fold_arm()
-                return (yield from self.drive_to(near[n, :2], facing=way[0, [0, 2]]))
-        stands = handle_stands(self.free, self.robot, base, way[0], island=island_of(self.free, self.xz))
-        stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
-        n = self._straightest(stands)
-        if n < 0:
-            return Ending("failed", "no_way")
-        yield from self._fold_arm()
-        ahead = stands[n, 2] + reach_bearing(self.robot)
-        facing = stands[n, :2] + FAR_M * np.array([np.cos(ahead), -np.sin(ahead)])
-        return (yield from self.drive_to(stands[n, :2], facing=facing))
-
-    def _straightest(self, stands: Array) -> int:
-        """The stand ``(x, z, heading)`` of [N, 3] that is near and at which it arrives nearly turned as it is to stand; -1: it
-        gets to none."""
-        lengths = self.free.geodesic(np.broadcast_to(self.xz, (len(stands), 2)), stands[:, :2])
-        crowded = CROWDED_M * self._crowded(stands) if len(stands) else lengths
-        order = np.argsort(lengths + crowded, kind="stable")
-        best, least = -1, np.inf
-        for n in order[np.isfinite(lengths[order])][:TRIED].tolist():
-            leg = np.diff(self.free.path(self.xz, stands[n, :2], max_snap_m=1.0)[-2:], axis=0)
-            came = float(np.arctan2(-leg[-1, 1], leg[-1, 0])) if len(leg) else self.heading
-            cost = lengths[n] + crowded[n] + TURN_M_RAD * abs(float(wrap_angle(stands[n, 2] - came)))
-            best, least = (n, cost) if cost < least else (best, least)
-        return best
-
-    def _move_part(self, k: int, *, opens: bool) -> Skill:
-        """Opens or closes a part: the hand takes its handle and leads it as far as the arm reaches."""
-        assert self.openables is not None
-        leading = Leading(self.openables, k, opens=opens)
-        held = self._hold(leading.handles[0])
-        assert held is not None, "checked before it starts"
-        robot, posture = held
-        yield from self._bring_arm(posture)
-        follows = True
-        for step in range(len(leading.way)):
-            while not leading.advance(step):
-                if leading.gave_up:
-                    return Ending("failed", "blocked")
-                self._step(0.0, 0.0, avoid=False)
-                yield
-            hand = self._hand_at(leading.handles[step], robot)
-            if follows and not is_beyond_reach(self.robot, hand):
-                answer = reach_posture(self.robot, hand, self.arm_goal, restarts=0)
-                follows = bool(answer.reached)
-                self.arm_goal = answer.joint_pos if follows else self.arm_goal
-            self._step(0.0, 0.0, avoid=False)
-            yield
-        return Ending("done")
 
     def drive_to(self, goal: NDArray, *, facing: NDArray | None = None, within_m: float = ARRIVED_M) -> Skill:
         """Drives to within a distance of a floor point [2] and, there, turns until the hand points at ``facing`` [2].
@@ -481,32 +295,6 @@ class RobotActor:
             passing_m=AVOIDANCE.robot_passing_m,
         )
 
-    def _stand_with_room(self, stands: Array, point: NDArray) -> tuple[int, float]:
-        """The nearest stand, as `nearest_stand`, from which its arm gets to a world point [3] without touching anything; if
-        there is none, one where at least nothing is in between."""
-        crowded, tests = self._crowded(stands), (None,)
-        if self.arm_clearance is not None:
-            tests = (
-                partial(self.arm_clearance.is_clear, point=point),
-                partial(self.arm_clearance.is_open, point=point),
-            )
-        nearest = -1, np.inf
-        for test in tests:
-            nearest = nearest_stand(self.free, stands, self.xz, crowded, test)
-            if nearest[0] >= 0:
-                break
-        return nearest
-
-    def _crowded(self, stands: Array) -> NDArray[np.integer]:
-        """How close it would be to another agent at each stand, [N]: 1 within the margin, 2 where they would touch."""
-        crowded = np.zeros(len(stands), np.int64)
-        for other in avoided([other for other in self.others if not other.steps_aside]):
-            for level, margin in ((1, other.margin_m), (2, AVOIDANCE.still_margin_m)):
-                crowded = np.maximum(crowded, is_crowded(self.base, stands, other, margin) * level)
-        for place in self._gave_up:
-            crowded = np.maximum(crowded, np.hypot(*(stands[:, :2] - place).T) < AVOIDANCE.via_m)
-        return crowded
-
     @property
     def _stride_m(self) -> float:
         """The longest distance of one step."""
@@ -530,109 +318,6 @@ class RobotActor:
         """Length of the path to a floor point [2] [m], and where to drive first; infinity and the point where there is none."""
         length, waypoint = self.free.first_leg(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
         return length, goal if math.isinf(length) else waypoint
-
-    def _reach(self, skill: Skill) -> Skill:
-        """A pick or place after which, or where it is interrupted, the arm folds while the base goes on: an arm that stayed out
-        stood 6 cm in a wall for 146 steps."""
-        try:
-            return (yield from skill)
-        finally:
-            self.arm_goal = self.robot.rest.copy()
-
-    def _pick(self, k: int) -> Skill:
-        over, at = self._reach_line(self._hand_target(Action("pick", k)))
-        yield from self._bring_hand(over, at)
-        gap = float(np.linalg.norm(self.hand_pose[:3] - self.objects.poses[k, :3]))
-        if gap > self.grip_m or self.objects.held_by[k] != NOBODY:
-            if self._is_instant:
-                yield  # the arm has moved in this step
-            return Ending("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
-        self.objects.held_by[k] = self.number
-        self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(self.hand_pose), self.objects.poses[k])
-        yield from self._withdraw_hand(over)
-        return Ending("done")
-
-    def _place(self, k: int) -> Skill:
-        over, at = self._reach_line(self._hand_target(Action("place", k)))
-        yield from self._bring_hand(over, at)
-        self.objects.held_by[k] = NOBODY
-        yield from self._withdraw_hand(over)
-        return Ending("done")
-
-    def _fold_arm(self) -> Generator[None, None, None]:
-        """Stands until the hand is nearly over the base: one that drove off with its arm out had the hand 6 cm in a wall."""
-        while not self._is_instant and np.hypot(*self._hand_in_root(self.joints)[[0, 2]]) > self._folded_m + ARM_OUT_M:
-            self._step(0.0, 0.0)
-            yield
-
-    # --- motion -------------------------------------------------------------------------------------------------------
-    def _hand_target(self, action: Action) -> Array:
-        """pose7 of the hand, in the agent root frame, for a pick or a place."""
-        k = action.target
-        there = self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k]
-        hand = self._hand_at(there)
-        if action.skill == "pick":
-            return hand
-        grip = self.objects.state.grip_pose[0, k]
-        turned = pose_multiply(np.append(np.zeros(3), hand_turn(self.robot)), grip)
-        return np.concatenate([hand[:3] - turned[:3], hand[3:]])
-
-    def _hand_at(self, point: NDArray, robot: Robot | None = None) -> Array:
-        """pose7 of the hand, in the agent root frame, with what it holds things at on a world point [3]; turned as that of
-        ``robot``, which may reach to the side (`aimed`)."""
-        local = pose_multiply(pose_inverse(self.pose), np.append(point, [0, 0, 0, 1.0]))
-        return np.concatenate([local[:3], hand_turn(robot or self.robot)])
-
-    def _hold(self, handle: NDArray) -> tuple[Robot, Array] | None:
-        """How it takes a handle at a world point [3]: itself, as it reaches, and a posture; None: it cannot from here."""
-        for aside in ASIDE_RAD:
-            robot = aimed(self.robot, aside)
-            posture = self._posture(self._hand_at(handle, robot))
-            if posture is not None:
-                return robot, posture
-        return None
-
-    def _posture(self, hand: Array) -> Array | None:
-        if is_beyond_reach(self.robot, hand):
-            return None
-        answer = reach_posture(self.robot, hand)
-        return answer.joint_pos if answer.reached else None
-
-    def _reach_line(self, hand: Array) -> tuple[Array, Array]:
-        """Postures over the target and at it."""
-        line = reach_line(self.robot, hand)
-        assert line is not None, "checked before it starts"
-        return line
-
-    @property
-    def _is_instant(self) -> bool:
-        """Whether its arm takes no time, as in Habitat: then a pick or a place is one step, not one per posture."""
-        return bool(np.isinf(self.arm_rad_s))
-
-    def _bring_hand(self, over: Array, at: Array) -> Generator[None, None, None]:
-        """Brings the hand to its target; an instant arm is there before the step ends, so that this step can use it."""
-        if not self._is_instant:
-            yield from self._bring_arm(over)
-            yield from self._bring_arm(at)
-            return
-        self.arm_goal, self.yields = at, False
-        self._step(0.0, 0.0, avoid=False)
-        while np.any(self.joints[self._arm] != at[self._arm]):  # held up by another agent
-            yield
-            self._step(0.0, 0.0, avoid=False)
-
-    def _withdraw_hand(self, over: Array) -> Generator[None, None, None]:
-        """Takes the hand back over the target; an instant arm ends the step where it is."""
-        if self._is_instant:
-            yield
-        else:
-            yield from self._bring_arm(over)
-
-    def _bring_arm(self, posture: Array) -> Generator[None, None, None]:
-        self.arm_goal, self.yields = posture, False
-        while np.any(self.joints[self._arm] != posture[self._arm]):
-            self._step(0.0, 0.0, avoid=False)
-            yield
 
     def _error_to(self, xz: NDArray, bearing: float = 0.0) -> float:
         """By how much it must turn to have a floor point [2] at a bearing to its left [rad]."""
