@@ -12,7 +12,8 @@ from h3data.bodies import load_robot
 from h3data.geometry import IDENTITY_POSE
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data.scene.freespace.build import build_from_walkable
-from sim_kinematic.agents.robots.skills import ARM_OUT_M, ARRIVED_M, RobotActor
+from sim_kinematic.agents.robots.driving import ARRIVED_M
+from sim_kinematic.agents.robots.skills import ARM_OUT_M, RobotActor
 from sim_kinematic.agents.skills import Action, Ending, Objects
 from sim_kinematic.agents.stands import robot_stands
 from sim_kinematic.avoidance.robot_base import CARRIED_M, base_of, carrying_base_of
