@@ -43,7 +43,8 @@ def named_scenes(
     """The scenes that ``text`` means; the other options are for scenes of Habitat (`load_habitat_scene`).
 
     ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``small2:3`` (second generation), ``small-open:3`` (furniture
-    opens), ``small2-storeys:3`` (two storeys), ``h3-homes/test`` or ``my.toml`` (all of a set),
+    opens), ``small2-storeys:3`` (two storeys), ``small2-doors:3`` (doors between rooms), ``h3-homes/test`` or ``my.toml`` (all
+    of a set),
     ``h3-homes/test#3`` or ``h3-homes/test#test_03`` (one of a set), or the path of a scene: GLB or one of Habitat's.
     A ``.scene_dataset_config.json`` is all its scenes, followed by ``#name`` one of them.
 

@@ -162,6 +162,7 @@ class _Home(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     generation: int = 1
     style: Look | None = None
     storeys: int = 1
+    doors: bool = False
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

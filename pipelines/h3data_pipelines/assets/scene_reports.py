@@ -73,7 +73,7 @@ def presets_and_sets() -> Outcome:
             ("preset", "floor m2", "bedrooms", "bathrooms", "seeds"), [[cell(v) for v in r.values()] for r in presets]
         ),
         "Name a home as preset:seed, e.g. small:3, with any seed from 0; small2:3 is one of the second generation, and in "
-        "small-open:3 furniture opens; small2-storeys:3 has two storeys.",
+        "small-open:3 furniture opens; small2-storeys:3 has two storeys, and small2-doors:3 doors between its rooms.",
         text_table(
             ("set", "scenes", "episodes each", "episodes", "spawn distance m", "about"),
             [[cell(v) for v in r.values()] for r in sets],

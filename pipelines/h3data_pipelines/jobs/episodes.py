@@ -74,10 +74,9 @@ class Job:
         for home in (v for v in told.values() if isinstance(v, dict) and "preset" in v):
             if home.get("generation") == 1:
                 del home["generation"], home["style"]
-            if home.get("articulated") is False:
-                del home["articulated"]
-            if home.get("storeys") == 1:
-                del home["storeys"]
+            for name, before in (("articulated", False), ("storeys", 1), ("doors", False)):
+                if home.get(name) == before:
+                    del home[name]
         return told
 
     @cached_property
