@@ -1,4 +1,4 @@
-"""Writes ``golden_states.json``, packed states with what they say and a walk beside others, which the tests of the server and
+"""Writes ``golden_states.json``, packed states with what they say, a walk beside others and things that open, which the tests of the server and
 of the page read: ``python -m tests.viewers.hitl.golden``."""
 
 from __future__ import annotations
@@ -9,8 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from h3data.geometry import transform_points
+from h3data.scene.articulation import handle_points, joints_of, posed
 from h3data_viewers.hitl.wire import BODY_JOINTS, JOINT_UNIT, PackedStep, StatePacker, pack_pong
+from h3data_viewers.rigs import joint_rigs
 from sim_kinematic.motion.step import drive_base, keep_apart
+from tests.scene.test_articulation import chain
 
 FILE = Path(__file__).parent / "golden_states.json"
 JOINTS = 20
@@ -61,24 +65,27 @@ def said(columns: dict[str, np.ndarray], head: tuple[Any, ...], objects: list[in
                   "joints": (np.rint(columns["agent_0.joint_pos"][0] / JOINT_UNIT) * JOINT_UNIT).tolist()},
         "person": {"base": [*columns["agent_1.base_pose"][0, [0, 2]].tolist(), -2.0], "root": person.tolist(),
                    "quats": columns["agent_1.joint_quat"][0, :BODY_JOINTS].tolist()},
+        "joints": columns["scene.joint_pos"][0].tolist() if "scene.joint_pos" in columns else [],
         "things": [{"index": k, "held": 1 if k == 1 else -1, "pose": columns["object_pose"][0, k].tolist()} for k in objects],
     }  # fmt: skip
 
 
 def golden() -> dict[str, Any]:
-    """Three states, one after the other, and a pong."""
+    """Five states, one after the other, the last two with doors and drawers, and a pong."""
     pack, states = packer(), []
-    for step, whole in ((1, True), (2, False), (3, False)):
+    for step, whole in ((1, True), (2, False), (3, False), (4, True), (5, False)):
         columns = columns_of(7)
-        if step == 3:
+        if step >= 3:
             columns["object_pose"][0, 2, 1] += 1.0
+        if step >= 4:
+            columns["scene.joint_pos"] = np.array([[0.0, 0.25 if step == 5 else 0.0, -1.5]], np.float32)
         packed: PackedStep = pack.pack(columns)
         objects = [0, 1, 2] if whole else [2] if step == 3 else []
         head = (1 | 8 * (step == 2), 2, len(objects), step, step - 2, 33.5 * step)
         data = packed.state(head[0], head[3], head[4], head[5], whole=whole)
         states.append({"bytes": data.hex(), "said": said(columns, head, objects)})
     pong = {"bytes": pack_pong(12.5, 99.25).hex(), "said": [12.5, 99.25]}
-    return {"joints": JOINTS, "states": states, "pong": pong, "beside": walk_beside()}
+    return {"joints": JOINTS, "states": states, "pong": pong, "beside": walk_beside(), "opening": opening()}
 
 
 def walk_beside() -> dict[str, Any]:
@@ -102,6 +109,22 @@ def walk_beside() -> dict[str, Any]:
         "commands": commands,
         "places": places,
     }
+
+
+def opening() -> dict[str, Any]:
+    """A cabinet with a box on its door, and where everything is as they move, pose7 and handles."""
+    scene, frames = chain(rest=0.3), []
+    handles = handle_points(scene)
+    for positions in ([0.3, 0.0], [1.4, 0.0], [1.4, -0.3], [-0.2, -0.3], [0.3, 0.0]):
+        there, motions = posed(scene, positions), joints_of(scene).motions(positions)
+        frames.append(
+            {
+                "positions": positions,
+                "poses": {i.name: np.round(i.pose, 6).tolist() for i in there.instances},
+                "handles": [transform_points(m, h[None])[0].round(6).tolist() for m, h in zip(motions, handles, strict=True)],
+            }
+        )
+    return {"joints": joint_rigs(scene, movable={"cup"}), "frames": frames}
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from h3data_viewers.hitl.drivers import driving_base
 from h3data_viewers.hitl.messages import PERIOD_S
 from h3data_viewers.hitl.plan import VERSION
 from h3data_viewers.hitl.wire import BODY_JOINTS
-from h3data_viewers.rigs import robot_rig
+from h3data_viewers.rigs import joint_rigs, robot_rig
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.recorder import finished
@@ -89,10 +89,18 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
         "agents": agents,
         "objects": [{"name": name, "label": app.label(name)} for _, name in moving],
         "goals": [asdict(goal) for goal in app.goals()],
+        "joints": _joints(session, app, {name for _, name in moving}),
         "floor_y": float(episode.free.floor_y),
         "dt": PERIOD_S,
         "sdf": sdf,
     }
+
+
+def _joints(session: Session, app: App, movable: set[str]) -> list[dict[str, Any]]:
+    """Doors and drawers, where the task has any that move."""
+    if getattr(session.play, "openables", None) is None:
+        return []
+    return [{**rig, "label": app.joint_label(rig["name"])} for rig in joint_rigs(session.episode.scene, movable=movable)]
 
 
 def digest(data: bytes) -> str:

@@ -123,6 +123,7 @@ class LiveGame:
         self.columns: Columns = {}
         self.ended = ""
         """What ended the episode."""
+        self._barriers: tuple[bytes, list[list[int]]] = b"", []
 
     # --- from players -------------------------------------------------------------------------------------------------
     def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
@@ -183,6 +184,20 @@ class LiveGame:
         flags |= BUSY if driver is not None and driver.busy else 0
         ack = -1 if driver is None else driver.ack
         return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
+
+    def barriers(self) -> list[list[int]]:
+        """The door or drawer that has to be opened first to take each object, and to put it at its goal; -1: none. Empty where
+        nothing opens."""
+        play: Any = self.session.play
+        openables = getattr(play, "openables", None)
+        if openables is None:
+            return []
+        # found again only when something has been opened, closed, taken or put down
+        key = openables.joints.is_open(openables.positions).tobytes() + play.objects.held_by.tobytes()
+        if key != self._barriers[0]:
+            count = len(play.objects.names)
+            self._barriers = key, [[play.barrier(k, at_goal) for at_goal in (False, True)] for k in range(count)]
+        return self._barriers[1]
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:

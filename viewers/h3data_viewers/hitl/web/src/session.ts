@@ -2,6 +2,7 @@
 
 import { Refused, takeSeat } from "./link/flow.ts";
 import { Game } from "./game.ts";
+import type { Barriers } from "./player/actions.ts";
 import { Hud } from "./screen/hud.ts";
 import { Net, type Link } from "./link/net.ts";
 import { installProbe, noteOver } from "./probe.ts";
@@ -78,6 +79,8 @@ interface Message {
   why?: string;
   toast?: string;
   hud?: { task: string; left_s?: number | null; lines?: string[]; marker?: [number, number, number] | null };
+  /** For each thing the door or drawer to be opened before it is taken, and before it is put at its goal; -1: none. */
+  barriers?: Barriers;
   can?: { p: number[]; why: string };
   pause?: string;
   over?: { ended: string; text?: string; next?: boolean };
@@ -90,6 +93,7 @@ function hear(game: Game, hud: Hud, around: Around, message: Message): void {
     hud.task(message.hud.task, message.hud.lines ?? [], message.hud.left_s ?? null);
     game.mark(message.hud.marker ?? null);
   }
+  if (message.barriers) game.barriers = message.barriers;
   if (message.can) game.answer(message.can.p, message.can.why);
   if (message.pause) hud.phase("paused", "The home stands still", message.pause);
   else if (message.pause === "") hud.phase("playing");

@@ -1,6 +1,7 @@
 /** What the server tells once: who and what is there, the rules of motion, the floor. */
 
 import type { Driving } from "../motion/drive.ts";
+import type { Joint } from "../scene/joints.ts";
 import type { Link, Pose7 } from "../scene/robot.ts";
 import type { SdfShape } from "../motion/sdf.ts";
 
@@ -25,6 +26,10 @@ export interface ThingInfo {
   label: string;
 }
 
+export interface JointInfo extends Joint {
+  label: string;
+}
+
 export interface GoalInfo {
   position: [number, number, number];
   /** Where that is, such as "nightstand". */
@@ -35,6 +40,8 @@ export interface GoalInfo {
 export interface Stage {
   agents: StagedAgent[];
   objects: { name: string }[];
+  /** Doors and drawers that states move. */
+  joints: Joint[];
   floor_y: number;
 }
 
@@ -42,6 +49,7 @@ export interface Manifest extends Stage {
   version: number;
   agents: AgentInfo[];
   objects: ThingInfo[];
+  joints: JointInfo[];
   /** Index of the player's agent; -1: a spectator. */
   me: number;
   /** One for each object that has to be brought somewhere, by the index of the object. */

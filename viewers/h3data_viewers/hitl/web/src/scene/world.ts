@@ -22,6 +22,7 @@ import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import type { Base } from "../motion/drive.ts";
 import type { Stage, StagedAgent } from "../link/manifest.ts";
 import { wrapAngle } from "../motion/sdf.ts";
+import { JointRig } from "./joints.ts";
 import { RobotRig } from "./robot.ts";
 import type { PersonState, RobotState, State } from "../link/wire.ts";
 
@@ -37,6 +38,7 @@ interface PersonRig {
 export class World {
   readonly scene = new Scene();
   readonly things: Object3D[];
+  readonly joints: JointRig;
   /** What a camera may not pass, and what a click on the floor may hit. */
   readonly solid: Object3D[] = [];
   readonly floors: Object3D[] = [];
@@ -88,6 +90,7 @@ export class World {
       if (!node) throw new Error(`The home's file has no object called ${thing.name}.`);
       return node;
     });
+    this.joints = new JointRig(manifest.joints, (name) => this.named.get(name));
     const texture = softDisc();
     this.shadows = manifest.agents.map(() => this.addShadow(texture));
     this.rigs = manifest.agents.map((agent) => (agent.kind === "robot" ? this.robotRig(agent) : personRig(root, agent)));
@@ -133,6 +136,7 @@ export class World {
   /** Poses everything between two states; what is absent (NaN) is hidden. `own` takes the place of the base of agent `me`, and what it holds rides along. */
   pose(a: State, b: State, share: number, me: number, own: Base | null): void {
     const floorY = this.manifest.floor_y;
+    this.joints.pose(a.joints, b.joints, share);
     this.manifest.agents.forEach((_, k) => {
       const was = a.agents[k]!;
       const is = b.agents[k]!;
