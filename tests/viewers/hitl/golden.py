@@ -121,7 +121,9 @@ def opening() -> dict[str, Any]:
             {
                 "positions": positions,
                 "poses": {i.name: np.round(i.pose, 6).tolist() for i in there.instances},
-                "handles": [transform_points(m, h[None])[0].round(6).tolist() for m, h in zip(motions, handles, strict=True)],
+                "handles": [
+                    transform_points(m, h[None])[0].round(6).tolist() for m, h in zip(motions, handles, strict=True)
+                ],
             }
         )
     return {"joints": joint_rigs(scene, movable={"cup"}), "frames": frames}

@@ -100,7 +100,9 @@ def _joints(session: Session, app: App, movable: set[str]) -> list[dict[str, Any
     """Doors and drawers, where the task has any that move."""
     if getattr(session.play, "openables", None) is None:
         return []
-    return [{**rig, "label": app.joint_label(rig["name"])} for rig in joint_rigs(session.episode.scene, movable=movable)]
+    return [
+        {**rig, "label": app.joint_label(rig["name"])} for rig in joint_rigs(session.episode.scene, movable=movable)
+    ]
 
 
 def digest(data: bytes) -> str:

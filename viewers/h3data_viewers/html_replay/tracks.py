@@ -36,7 +36,11 @@ def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: N
     rigged = {f"{agent['name']}/{link['name']}" for agent in agents for link in agent.get("links", ())}
     things: list[dict[str, Any]] = []
     for part in parts:
-        if not len(part.mesh.faces) or part.name in turned or (part.body is None and (part.skeleton is not None or part.name in rigged)):
+        if (
+            not len(part.mesh.faces)
+            or part.name in turned
+            or (part.body is None and (part.skeleton is not None or part.name in rigged))
+        ):
             continue
         if part.skeleton is not None:
             for joint, name in enumerate(part.skeleton.names):
