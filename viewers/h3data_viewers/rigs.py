@@ -31,6 +31,7 @@ def robot_rig(robot: Robot) -> dict[str, Any]:
     return {
         "base": pose_from_matrix(robot.to_base).round(7).tolist(),
         "joints": len(robot.joint_names),
+        "climbs": robot.climbing_length_m,
         "links": links,
     }
 

@@ -1,5 +1,5 @@
-"""Writes ``golden_states.json``, packed states with what they say, a walk beside others and things that open, which the tests of the server and
-of the page read: ``python -m tests.viewers.hitl.golden``."""
+"""Writes ``golden_states.json``, which the tests of the server and of the page read: packed states with what they say, a walk
+beside others, things that open, a home with stairs. ``python -m tests.viewers.hitl.golden``."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from h3data.geometry import transform_points
+from h3data.geometry import sloped_pose, transform_points
+from h3data.scene import Ramp, Room
 from h3data.scene.articulation import handle_points, joints_of, posed
+from h3data.scene.floor_heights import floor_heights, room_heights
 from h3data_viewers.hitl.wire import BODY_JOINTS, JOINT_UNIT, PackedStep, StatePacker, pack_pong
 from h3data_viewers.rigs import joint_rigs
-from sim_kinematic.motion.step import drive_base, keep_apart
+from sim_kinematic.motion.step import drive_base, keep_apart, stairs_speeds
 from tests.scene.test_articulation import chain
 
 FILE = Path(__file__).parent / "golden_states.json"
@@ -85,7 +87,14 @@ def golden() -> dict[str, Any]:
         data = packed.state(head[0], head[3], head[4], head[5], whole=whole)
         states.append({"bytes": data.hex(), "said": said(columns, head, objects)})
     pong = {"bytes": pack_pong(12.5, 99.25).hex(), "said": [12.5, 99.25]}
-    return {"joints": JOINTS, "states": states, "pong": pong, "beside": walk_beside(), "opening": opening()}
+    return {
+        "joints": JOINTS,
+        "states": states,
+        "pong": pong,
+        "beside": walk_beside(),
+        "opening": opening(),
+        "stairs": stairs(),
+    }
 
 
 def walk_beside() -> dict[str, Any]:
@@ -127,6 +136,32 @@ def opening() -> dict[str, Any]:
             }
         )
     return {"joints": joint_rigs(scene, movable={"cup"}), "frames": frames}
+
+
+def stairs() -> dict[str, Any]:
+    """Two storeys joined by stairs, and of some places ``(x, z, heading)`` how high the floor is, how fast bodies go there, and
+    how a robot of a length stands."""
+    up = Ramp(axis=0, start=6.2, end=3.4, top_y=2.7, steps=15)
+    rooms = (
+        Room(name="hall", category="hallway", rectangles=np.array([[0.0, 0, 3, 4]]), floor_y=0.1),
+        Room(name="stairwell", category="stairwell", rectangles=np.array([[3.0, 1, 7, 2]]), floor_y=0.1, ramp=up),
+        Room(name="upper", category="bedroom", rectangles=np.array([[7.1, 0, 10, 4]]), floor_y=2.7),
+    )
+    heights, length = room_heights(rooms), 0.7
+    rng = np.random.default_rng(3)
+    places = np.round(
+        np.concatenate([rng.uniform((-1, -1, -3), (11, 5, 3), (30, 3)), rng.uniform((2, 1, -3), (8, 2, 3), (60, 3))]), 4
+    )
+    xz, heading = places[:, :2], places[:, 2]
+    poses = sloped_pose(lambda at: floor_heights(heights, 0.0, at), xz, heading, length)
+    return {
+        "heights": heights.tolist(),
+        "length": length,
+        "places": places.tolist(),
+        "y": floor_heights(heights, 0.0, xz).tolist(),
+        "pace": stairs_speeds(heights, xz).tolist(),
+        "poses": poses.round(9).tolist(),
+    }  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from h3data.bodies import Robot
-from h3data.errors import InputError
 from h3data.exporters.gltf_animation import write_gltf_animation
 from h3data.exporters.posing import posed_parts
 from h3data.recording import RecordingHeader
@@ -71,8 +70,6 @@ def distance_grid(session: Session) -> tuple[bytes, dict[str, Any]]:
 def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
     """Names, rigs and rules of motion; ``me`` is -1, which the front replaces by the player's agent."""
     header, episode = session.recorder.header, session.episode
-    if len(episode.free.heights):
-        raise InputError(f"{episode.scene.name} has stairs, live play needs a level floor. Hint: a home of one storey.")
     moving = sorted((body.moving, body.name) for body in header.bodies if body.moving >= 0)
     agents = []
     for k, member in enumerate(episode.roster):
@@ -91,6 +88,7 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
         "goals": [asdict(goal) for goal in app.goals()],
         "joints": _joints(session, app, {name for _, name in moving}),
         "floor_y": float(episode.free.floor_y),
+        "heights": episode.free.heights.round(6).tolist(),
         "dt": PERIOD_S,
         "sdf": sdf,
     }

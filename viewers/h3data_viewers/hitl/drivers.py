@@ -14,7 +14,19 @@ from h3data.errors import InputError
 from h3data.geometry import Array, heading_from_quat
 from h3data_viewers.hitl.guide import Guide
 from h3data_viewers.hitl.messages import (
-    Act, Close, Drop, Give, GoTo, Hand, Head, Leave, Move, Open, Pick, Place, Stop,
+    Act,
+    Close,
+    Drop,
+    Give,
+    GoTo,
+    Hand,
+    Head,
+    Leave,
+    Move,
+    Open,
+    Pick,
+    Place,
+    Stop,
 )  # fmt: skip
 from sim_kinematic.agents.driven.commands import Drop as DropSkill
 from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCommand

@@ -117,7 +117,8 @@ class LiveGame:
         self.drivers: dict[int, Driver] = {k: self.app.driver(k) for k in table.numbers}
         for k in table.numbers:
             self.session.recorder.beside |= {seq_column(k): np.int32(-1), rtt_column(k): np.float32(np.nan)}
-        self.packer = StatePacker(self.session.recorder.header, tuple(m.body for m in episode.roster))
+        bodies = tuple(m.body for m in episode.roster)
+        self.packer = StatePacker(self.session.recorder.header, bodies, episode.free.heights)
         self.packed: PackedStep | None = None
         """The last step."""
         self.columns: Columns = {}

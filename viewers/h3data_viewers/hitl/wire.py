@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.planted_gait import PlantedWalk
+from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs
 from h3data.geometry import Array, heading_from_quat, pose_multiply
 from h3data.recording import RecordingHeader
 from h3data.recording.records import JOINTS
+from h3data.scene.floor_heights import LEVEL
 
 STATE, PONG = 1, 2
 TOUCH, WALL, ENDED, BUSY = 1, 2, 4, 8
@@ -96,6 +97,8 @@ class StatePacker:
     header: RecordingHeader
     bodies: tuple[Robot | Humanoid, ...]
     """Of the agents."""
+    heights: Array = field(default_factory=LEVEL.copy)
+    """How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs."""
     _walks: dict[int, PlantedWalk] = field(default_factory=dict)
     _objects: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _OBJECT))
     _joints: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _JOINT))
@@ -142,7 +145,7 @@ class StatePacker:
         # recorded by clips: feet are planted from step to step, as a replay does it (`PosedRecording.joint_matrices`)
         walk = self._walks.get(k)
         if walk is None:
-            walk = self._walks[k] = PlantedWalk(body.gait_tables, base)
+            walk = self._walks[k] = PlantedWalk(on_stairs(body.gait_tables, self.heights), base)
         else:
             walk.step(base)
         quats, pelvis = walk.pose()

@@ -29,7 +29,19 @@ from h3data_viewers.hitl import assets
 from h3data_viewers.hitl.channel import Channel, Closed
 from h3data_viewers.hitl.live import LiveGame, Table
 from h3data_viewers.hitl.messages import (
-    PERIOD_S, Act, Close, Drop, GoTo, Hand, Head, Leave, Move, Open, Pick, Place, decode,
+    PERIOD_S,
+    Act,
+    Close,
+    Drop,
+    GoTo,
+    Hand,
+    Head,
+    Leave,
+    Move,
+    Open,
+    Pick,
+    Place,
+    decode,
 )  # fmt: skip
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, prepared_key
 

@@ -212,7 +212,7 @@ class ScriptedParticipant(Client):
         return next((k for k, thing in enumerate(self.things) if thing.held == self.me), -1)
 
     def _barrier(self, k: int) -> int:
-        """The door or drawer to open before thing ``k`` is taken, while the hand is free: its place's, then its own; -1: none."""
+        """The door or drawer to open before thing ``k`` is taken: what shuts in its goal, then what it is in; -1: none."""
         told = self.heard("barriers")
         own, of_goal = told[-1][k] if told else (-1, -1)
         return of_goal if of_goal >= 0 else own

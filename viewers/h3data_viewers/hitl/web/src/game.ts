@@ -77,7 +77,7 @@ export class Game {
     this.renderer = options.renderer ?? new WebGLRenderer({ canvas: hud.canvas, antialias: options.antialias });
     if (!options.renderer) this.renderer.setPixelRatio(options.pixelRatio);
     this.cues = new Cues(world, manifest, sdf, hud.marks, hud.map);
-    this.pointing = new Pointing(world, manifest.floor_y);
+    this.pointing = new Pointing(world);
     const agent = manifest.agents[manifest.me];
     if (agent) {
       this.predictor = new Predictor(sdf, agent.drive, manifest.dt);
@@ -256,6 +256,7 @@ export class Game {
     this.place(state, a, b, share, seconds);
     const steps = this.input.pressedAt > 0 && Math.abs(was.x - this.shown.x) + Math.abs(was.heading - this.shown.heading) > 1e-4;
     this.world.pose(a, b, share, this.manifest.me, this.steering ? this.shown : null);
+    if (this.steering) this.camera.floorY = this.world.floor.height(this.shown.x, this.shown.z);
     if (!this.headset?.on) this.camera.follow(this.shown, this.world.solid, seconds);
     this.world.showBody(this.manifest.me, this.headset?.on || !this.camera.hidesBody);
     this.world.showHead(this.manifest.me, !this.headset?.on && this.camera.view !== "first");
@@ -263,12 +264,12 @@ export class Game {
     this.preview(this.now);
     this.cues.draw(state, this.now, this.manifest.me, this.shown, this.camera.camera, this.camera.yaw);
     this.tell(state, this.now);
+    this.coarsen(); // before the picture: a canvas of another size is empty
     this.renderer.render(this.world.scene, this.camera.camera);
     if (steps) {
       this.keyMs.push(performance.now() - this.input.pressedAt);
       this.input.pressedAt = 0;
     }
-    this.coarsen();
     if (!this.frames++) performance.mark("first-frame");
   }
 
@@ -354,7 +355,7 @@ export class Game {
     };
     const speed = { forward: drive.speed, turn: drive.turn, step: this.manifest.dt };
     const { signal } = this.life;
-    const headset = new Headset(this.renderer, this.camera.camera, this.manifest.floor_y, speed, player, signal);
+    const headset = new Headset(this.renderer, this.camera.camera, this.world.floor, speed, player, signal);
     this.world.scene.add(headset.rig);
     this.headset = headset;
     this.hud.show("button-vr", true);

@@ -1,6 +1,7 @@
 /** What the server tells once: who and what is there, the rules of motion, the floor. */
 
 import type { Driving } from "../motion/drive.ts";
+import type { HeightRow } from "../motion/floor.ts";
 import type { Joint } from "../scene/joints.ts";
 import type { Link, Pose7 } from "../scene/robot.ts";
 import type { SdfShape } from "../motion/sdf.ts";
@@ -13,6 +14,8 @@ export interface StagedAgent {
   base?: Pose7;
   links?: Link[];
   joints?: number;
+  /** Robot that climbs stairs: how far apart its ends are that stand on them, m; 0: it stays upright. */
+  climbs?: number;
   /** Person: names of the joints that states move, the pelvis first. */
   bones?: string[];
 }
@@ -43,6 +46,8 @@ export interface Stage {
   /** Doors and drawers that states move. */
   joints: Joint[];
   floor_y: number;
+  /** How high the floor is at a place, where stairs join storeys; empty: it is level. */
+  heights: HeightRow[];
 }
 
 export interface Manifest extends Stage {

@@ -1,5 +1,7 @@
 /** Signed distance to the nearest obstacle on the floor plan, as `h3data.scene.FreeSpace` samples it. */
 
+import { Floor } from "./floor.ts";
+
 export interface SdfShape {
   /** Cells along x and along z. */
   shape: [number, number];
@@ -19,7 +21,7 @@ export class Sdf {
   private readonly values: Float32Array;
 
   /** The cells row by row along z. */
-  constructor(readonly map: SdfShape, bytes: ArrayBuffer) {
+  constructor(readonly map: SdfShape, bytes: ArrayBuffer, readonly floor = new Floor([], 0)) {
     [this.nx, this.nz] = map.shape;
     const size = this.nx * this.nz * (map.type === "int16" ? 2 : 1);
     if (bytes.byteLength !== size)

@@ -20,10 +20,7 @@ export class Pointing {
   private readonly at = new Vector2();
   private readonly normal = new Vector3();
 
-  constructor(
-    private readonly world: World,
-    private readonly floorY: number,
-  ) {}
+  constructor(private readonly world: World) {}
 
   /** What is at a place of the picture, -1..1 each. Things are taken before what they stand on, but not through walls. */
   target(x: number, y: number, camera: PerspectiveCamera, held: number): Target {
@@ -42,7 +39,9 @@ export class Pointing {
     // who has something in the hand may want to put it into an open drawer
     if (joint >= 0 && (held < 0 || this.normal.y < UPRIGHT)) return { kind: "joint", joint, point: hit.point.clone() };
     if (this.normal.y < UPRIGHT) return { kind: "none" };
-    return { kind: hit.point.y - this.floorY < FLOOR_M ? "floor" : "top", point: hit.point.clone() };
+    const { x: px, y: py, z: pz } = hit.point;
+    const high = py - this.world.floor.height(px, pz) - this.world.floor.riser(px, pz);
+    return { kind: high < FLOOR_M ? "floor" : "top", point: hit.point.clone() };
   }
 }
 

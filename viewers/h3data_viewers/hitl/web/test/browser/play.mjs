@@ -290,6 +290,39 @@ async function drawer() {
   return { todo, shut, open, moved, held, reason, still, ...(await player.close()) };
 }
 
-const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial, drawer };
+/** To the foot of the stairs by a click, up by keys, and on to a room by a click. */
+async function stairs() {
+  const player = await openPage(url);
+  await player.started();
+  const [x0, z0, x1, z1, low, high, axis, start, end] = await player.ask("probe.game.manifest.heights.find((row) => row[9])");
+  const along = (share) => start + share * (end - start);
+  const at = (share) => (axis ? [(x0 + x1) / 2, low, along(share)] : [along(share), low, (z0 + z1) / 2]);
+  const far = Math.abs(end - start);
+  const height = () => player.ask("probe.game.camera.floorY");
+  const heights = [];
+  for (const share of [-0.4 / far, 0.05]) {
+    await player.ask(`probe.game.net.send({ k: "goto", p: ${JSON.stringify(at(share))} }); 0`);
+    await player.idle();
+  }
+  heights.push(await height());
+  await player.nap(600);
+  await player.shot(picture("foot"));
+  // by keys, so that the page predicts: it looks up the stairs, and the body turns there
+  const up = Math.atan2(-(at(1)[2] - at(0)[2]), at(1)[0] - at(0)[0]);
+  const look = `(() => { const { camera, shown } = probe.game; camera.yaw = Math.atan2(Math.sin(${up} - shown.heading), Math.cos(${up} - shown.heading)); })()`;
+  await player.ask(look);
+  for (let k = 0; k < 20 && (await height()) < low + 0.5 * (high - low); k++) await player.press("w", 250);
+  heights.push(await height());
+  await player.nap(600);
+  await player.shot(picture("middle"));
+  for (let k = 0; k < 20 && (await height()) < high - 0.01; k++) await player.press("w", 250);
+  await player.nap(600);
+  heights.push(await height());
+  await player.shot(picture("top"));
+  const body = await player.ask("(() => { const me = probe.game.net.latest.agents[probe.game.manifest.me]; return me.root[1]; })()");
+  return { heights, low, high, body, ...(await player.close()) };
+}
+
+const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial, drawer, stairs };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
