@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import random
 import struct
+import zlib
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,6 +21,7 @@ from h3data.recording.records import JOINTS
 from h3data_viewers.hitl import assets
 from h3data_viewers.hitl.live import LiveGame, Table
 from h3data_viewers.hitl.plan import GameOrder
+from h3data_viewers.hitl.worker import Worker
 from sim_kinematic.tasks.resume import verify
 from tests.viewers.hitl.test_live import Player, bring, table
 
@@ -149,6 +155,42 @@ def test_the_page_learns_of_joints_only_where_they_move(tmp_path: Path):
     assert all(joint["parent"] < k for k, joint in enumerate(joints))
     assert manifest(app="social_nav")["joints"] == [], "there nothing opens"
     assert manifest(scenes="small:2")["joints"] == []
+
+
+def test_pages_are_told_of_the_floor_when_it_has_changed(tmp_path: Path):
+    told: list[dict[str, Any]] = []
+
+    class Page:
+        def send(self, kind: str, key: str, body: Any) -> None:
+            if kind == "told":
+                told.append(body[1])
+
+    worker = Worker(Page(), [opening(tmp_path).plan])  # type: ignore[arg-type]
+    worker.begin("g", msgspec.to_builtins(GameOrder(index=0, name="000000", facts={})))
+    game = worker.games["g"].game
+    number, free = next(iter(game.drivers)), game.session.episode.free
+
+    def floors(steps: int) -> list[dict[str, Any]]:
+        told.clear()
+        for _ in range(steps):
+            worker.step("g", None)
+        return [message["floor"] for message in told if "floor" in message]
+
+    worker.here("g", {"agent": number, "here": True})
+    assert floors(2) == [], "the page has loaded it"
+    assert sum("barriers" in message for message in told) == 1
+    other = replace(free, sdf=free.sdf - np.float32(0.1))
+    game.session.play.floor = other  # type: ignore[attr-defined]
+    (message,) = floors(3)
+    cells = np.frombuffer(zlib.decompress(base64.b64decode(message["cells"])), "<i2").reshape(message["shape"])
+    np.testing.assert_allclose(cells * message["unit"], other.sdf, atol=0.6e-3)
+    assert message["origin"] == pytest.approx(free.origin.tolist())
+    game.session.play.floor = free  # type: ignore[attr-defined]
+    assert len(floors(2)) == 1, "and back"
+    for here in (False, True):
+        worker.here("g", {"agent": number, "here": here})
+    assert len(floors(2)) == 1, "to a page that may have been loaded again"
+    worker.close_all(finish=False)
 
 
 async def play_by_script(link: str) -> list[str]:

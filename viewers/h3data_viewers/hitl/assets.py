@@ -3,8 +3,10 @@ grid on which it predicts the player's own walk."""
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import tempfile
+import zlib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from h3data.exporters.gltf_animation import write_gltf_animation
 from h3data.exporters.posing import posed_parts
 from h3data.recording import RecordingHeader
 from h3data.replay import Replay
+from h3data.scene import FreeSpace
 from h3data_viewers.hitl.app import App
 from h3data_viewers.hitl.drivers import driving_base
 from h3data_viewers.hitl.messages import PERIOD_S
@@ -54,16 +57,24 @@ def _anonymous(recording: Any) -> Any:
 
 def distance_grid(session: Session) -> tuple[bytes, dict[str, Any]]:
     """The distance to the nearest obstacle, int16 [nx, nz], and its entry in the manifest."""
-    free = session.episode.free
+    data, entry = _grid(session.episode.free)
+    return data, {**entry, "url": f"world/{digest(data)}.sdf"}
+
+
+def floor_message(free: FreeSpace) -> dict[str, Any]:
+    """A distance grid in place of the one that pages have, with its cells as Base64 of zlib data."""
+    data, entry = _grid(free)
+    return {**entry, "cells": base64.b64encode(zlib.compress(data, 6)).decode()}
+
+
+def _grid(free: FreeSpace) -> tuple[bytes, dict[str, Any]]:
     cells = np.clip(np.rint(np.nan_to_num(free.sdf, posinf=1e3, neginf=-1e3) / GRID_UNIT_M), -32767, 32767)
-    data = cells.astype("<i2").tobytes()
-    return data, {
+    return cells.astype("<i2").tobytes(), {
         "type": "int16",
         "unit": GRID_UNIT_M,
         "shape": list(free.sdf.shape),
         "origin": np.asarray(free.origin, np.float64).round(9).tolist(),
         "cell": float(free.cell_m),
-        "url": f"world/{digest(data)}.sdf",
     }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from h3data.errors import InputError
 from h3data.geometry import Array, heading_from_quat
+from h3data.scene import FreeSpace
 from h3data_viewers.hitl.guide import Guide
 from h3data_viewers.hitl.messages import (
     Act,
@@ -100,7 +101,7 @@ class Driver:
         base = self.base
         try:
             self.guide = Guide.to(
-                agent_floor(self.session.episode, self.number), self.place[0], xz, heading=heading,
+                self.floor, self.place[0], xz, heading=heading,
                 speed_mps=base.max_speed_mps, turn_rad_s=base.max_turn_rad_s,
             )  # fmt: skip
         except InputError as fault:
@@ -145,6 +146,11 @@ class Driver:
             return start[:2].copy(), float(start[2])
         pose = recorder.latest_columns()[f"agent_{self.number}.base_pose"][-1].astype(np.float64)
         return pose[[0, 2]], float(heading_from_quat(pose[3:]))
+
+    @property
+    def floor(self) -> FreeSpace:
+        """The floor on which paths are found."""
+        return agent_floor(self.session.episode, self.number)
 
     @property
     def base(self) -> BaseSpec:
@@ -212,7 +218,8 @@ class SkillDriver(Driver):
 
     def is_shut(self, k: int, *, at_goal: bool = False) -> bool:
         """Whether something has to be opened before object ``k`` can be taken, or put at its goal."""
-        return self.session.play.barrier(k, at_goal) >= 0  # type: ignore[attr-defined]
+        openables = self.session.play.openables  # type: ignore[attr-defined]
+        return openables is not None and openables.barrier_of(k, at_goal=at_goal) >= 0
 
     def put_at(self, point: Array, lead: bool) -> str:
         """Places what is held elsewhere than at its goal."""
@@ -272,6 +279,10 @@ class SkillDriver(Driver):
     @property
     def busy(self) -> bool:
         return self.runs or super().busy or bool(self.queue)
+
+    @property
+    def floor(self) -> FreeSpace:
+        return self.session.play.actors[self.number].free  # type: ignore[attr-defined]
 
     @property
     def objects(self) -> Any:

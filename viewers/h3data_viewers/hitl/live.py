@@ -14,6 +14,7 @@ import numpy as np
 from h3data.errors import H3DataError, InputError
 from h3data.recording import STEP_NS, InputEvent, Recording, RecordingWriter, read_mcap, recover_mcap
 from h3data.recording.live_input import CLIENT, CONNECTED, DISCONNECTED, SLIP, rtt_column, seq_column
+from h3data.scene import FreeSpace
 from h3data_viewers.hitl.app import App, find_app
 from h3data_viewers.hitl.drivers import Driver
 from h3data_viewers.hitl.messages import Act, decode
@@ -197,8 +198,14 @@ class LiveGame:
         key = openables.joints.is_open(openables.positions).tobytes() + play.objects.held_by.tobytes()
         if key != self._barriers[0]:
             count = len(play.objects.names)
-            self._barriers = key, [[play.barrier(k, at_goal) for at_goal in (False, True)] for k in range(count)]
+            ends = (False, True)
+            self._barriers = key, [[openables.barrier_of(k, at_goal=goal) for goal in ends] for k in range(count)]
         return self._barriers[1]
+
+    @property
+    def floor(self) -> FreeSpace:
+        """The floor as it is now, on which pages predict their players: tasks whose doors move have one (``play.floor``)."""
+        return getattr(self.session.play, "floor", self.session.episode.free)
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:

@@ -88,6 +88,8 @@ class Running:
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
     """What each player was last told of what is shut in."""
+    floors: dict[int, Any] = field(default_factory=dict)
+    """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
     planned: dict[int, int] = field(default_factory=dict)
     """Step in which each player last asked to be led to a thing."""
 
@@ -274,6 +276,8 @@ class Worker:
         running.whole = True
         running.huds.pop(number, None)
         running.barriers.pop(number, None)
+        if number in running.floors:
+            running.floors[number] = None  # the page may have been loaded again
         if running.runs and not ran:
             running.due = self._free_time(running)
         if not running.runs and running.game.packed is not None:
@@ -372,6 +376,9 @@ class Worker:
             if running.barriers.get(number, []) != barriers:
                 running.barriers[number] = barriers
                 self.channel.send("told", running.key, [number, {"barriers": barriers}])
+            if running.floors.get(number, game.session.episode.free) is not game.floor:
+                running.floors[number] = game.floor
+                self.channel.send("told", running.key, [number, {"floor": assets.floor_message(game.floor)}])
             hud = game.app.hud(number)
             # pages count the seconds down themselves
             words = (hud.task, hud.lines, hud.marker, None if hud.left_s is None else hud.left_s // HUD_S)

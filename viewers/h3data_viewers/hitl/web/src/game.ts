@@ -63,7 +63,7 @@ export class Game {
   constructor(
     readonly manifest: Manifest,
     readonly world: World,
-    sdf: Sdf,
+    readonly sdf: Sdf,
     readonly net: Net,
     private readonly hud: Hud,
     options: { antialias: boolean; pixelRatio: number; renderer?: WebGLRenderer },
