@@ -1,5 +1,5 @@
-"""Writes ``golden_states.json``, packed states with what they say and a walk beside others, which the tests of the server and
-of the page read: ``python -m tests.viewers.hitl.golden``."""
+"""Writes ``golden_states.json``, which the tests of the server and of the page read: packed states with what they say, a walk
+beside others, things that open, a home with stairs. ``python -m tests.viewers.hitl.golden``."""
 
 from __future__ import annotations
 
@@ -9,8 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from h3data.geometry import sloped_pose, transform_points
+from h3data.scene import Ramp, Room
+from h3data.scene.articulation import handle_points, joints_of, posed
+from h3data.scene.floor_heights import floor_heights, room_heights
 from h3data_viewers.hitl.wire import BODY_JOINTS, JOINT_UNIT, PackedStep, StatePacker, pack_pong
-from sim_kinematic.motion.step import drive_base, keep_apart
+from h3data_viewers.rigs import joint_rigs
+from sim_kinematic.motion.step import drive_base, keep_apart, stairs_speeds
+from tests.scene.test_articulation import chain
 
 FILE = Path(__file__).parent / "golden_states.json"
 JOINTS = 20
@@ -61,24 +67,34 @@ def said(columns: dict[str, np.ndarray], head: tuple[Any, ...], objects: list[in
                   "joints": (np.rint(columns["agent_0.joint_pos"][0] / JOINT_UNIT) * JOINT_UNIT).tolist()},
         "person": {"base": [*columns["agent_1.base_pose"][0, [0, 2]].tolist(), -2.0], "root": person.tolist(),
                    "quats": columns["agent_1.joint_quat"][0, :BODY_JOINTS].tolist()},
+        "joints": columns["scene.joint_pos"][0].tolist() if "scene.joint_pos" in columns else [],
         "things": [{"index": k, "held": 1 if k == 1 else -1, "pose": columns["object_pose"][0, k].tolist()} for k in objects],
     }  # fmt: skip
 
 
 def golden() -> dict[str, Any]:
-    """Three states, one after the other, and a pong."""
+    """Five states, one after the other, the last two with doors and drawers, and a pong."""
     pack, states = packer(), []
-    for step, whole in ((1, True), (2, False), (3, False)):
+    for step, whole in ((1, True), (2, False), (3, False), (4, True), (5, False)):
         columns = columns_of(7)
-        if step == 3:
+        if step >= 3:
             columns["object_pose"][0, 2, 1] += 1.0
+        if step >= 4:
+            columns["scene.joint_pos"] = np.array([[0.0, 0.25 if step == 5 else 0.0, -1.5]], np.float32)
         packed: PackedStep = pack.pack(columns)
         objects = [0, 1, 2] if whole else [2] if step == 3 else []
         head = (1 | 8 * (step == 2), 2, len(objects), step, step - 2, 33.5 * step)
         data = packed.state(head[0], head[3], head[4], head[5], whole=whole)
         states.append({"bytes": data.hex(), "said": said(columns, head, objects)})
     pong = {"bytes": pack_pong(12.5, 99.25).hex(), "said": [12.5, 99.25]}
-    return {"joints": JOINTS, "states": states, "pong": pong, "beside": walk_beside()}
+    return {
+        "joints": JOINTS,
+        "states": states,
+        "pong": pong,
+        "beside": walk_beside(),
+        "opening": opening(),
+        "stairs": stairs(),
+    }
 
 
 def walk_beside() -> dict[str, Any]:
@@ -102,6 +118,50 @@ def walk_beside() -> dict[str, Any]:
         "commands": commands,
         "places": places,
     }
+
+
+def opening() -> dict[str, Any]:
+    """A cabinet with a box on its door, and where everything is as they move, pose7 and handles."""
+    scene, frames = chain(rest=0.3), []
+    handles = handle_points(scene)
+    for positions in ([0.3, 0.0], [1.4, 0.0], [1.4, -0.3], [-0.2, -0.3], [0.3, 0.0]):
+        there, motions = posed(scene, positions), joints_of(scene).motions(positions)
+        frames.append(
+            {
+                "positions": positions,
+                "poses": {i.name: np.round(i.pose, 6).tolist() for i in there.instances},
+                "handles": [
+                    transform_points(m, h[None])[0].round(6).tolist() for m, h in zip(motions, handles, strict=True)
+                ],
+            }
+        )
+    return {"joints": joint_rigs(scene, movable={"cup"}), "frames": frames}
+
+
+def stairs() -> dict[str, Any]:
+    """Two storeys joined by stairs, and of some places ``(x, z, heading)`` how high the floor is, how fast bodies go there, and
+    how a robot of a length stands."""
+    up = Ramp(axis=0, start=6.2, end=3.4, top_y=2.7, steps=15)
+    rooms = (
+        Room(name="hall", category="hallway", rectangles=np.array([[0.0, 0, 3, 4]]), floor_y=0.1),
+        Room(name="stairwell", category="stairwell", rectangles=np.array([[3.0, 1, 7, 2]]), floor_y=0.1, ramp=up),
+        Room(name="upper", category="bedroom", rectangles=np.array([[7.1, 0, 10, 4]]), floor_y=2.7),
+    )
+    heights, length = room_heights(rooms), 0.7
+    rng = np.random.default_rng(3)
+    places = np.round(
+        np.concatenate([rng.uniform((-1, -1, -3), (11, 5, 3), (30, 3)), rng.uniform((2, 1, -3), (8, 2, 3), (60, 3))]), 4
+    )
+    xz, heading = places[:, :2], places[:, 2]
+    poses = sloped_pose(lambda at: floor_heights(heights, 0.0, at), xz, heading, length)
+    return {
+        "heights": heights.tolist(),
+        "length": length,
+        "places": places.tolist(),
+        "y": floor_heights(heights, 0.0, xz).tolist(),
+        "pace": stairs_speeds(heights, xz).tolist(),
+        "poses": poses.round(9).tolist(),
+    }  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -161,3 +161,32 @@ def test_the_tutorial_is_played_step_by_step(tmp_path: Path) -> None:
     assert said["over"]["ended"] == "success"
     assert [text.split()[0] for text in said["texts"]] == ["Walk", "Turn", "Take", "Bring"]
     assert said["refused"].startswith("Not yet: first walk to the white ring")
+
+
+def test_a_drawer_is_opened_by_a_click_and_something_is_taken_out(tmp_path: Path) -> None:
+    from tests.viewers.hitl.server import Server
+
+    with Server(tmp_path / "out", scenes="small-open:2", seed=5) as server:
+        said = play("drawer", server.links[0], tmp_path)
+    assert "shut in" in said["todo"]
+    travel = said["open"] - said["shut"]
+    assert travel > 0.3
+    assert said["moved"] == pytest.approx(travel, abs=0.01), "the thing in it comes along"
+    assert said["held"]
+    assert said["reason"] == "The hand already holds something."
+    assert said["still"] == pytest.approx(said["open"]), "after a lost connection, too"
+    recording = read_mcap(next((tmp_path / "out").glob("*.mcap")))
+    assert verify(recording).difference is None
+    assert {"open", "pick"} <= {json.loads(e.payload)["message"]["k"] for e in recording.inputs if e.kind == "client"}
+
+
+def test_stairs_are_climbed_by_keys_and_predicted(tmp_path: Path) -> None:
+    from tests.viewers.hitl.server import Server
+
+    with Server(tmp_path / "out", scenes="small2-storeys:3") as server:
+        said = play("stairs", server.links[0], tmp_path)
+    foot, middle, top = said["heights"]
+    assert said["low"] <= foot < middle < top == pytest.approx(said["high"], abs=0.02)
+    assert said["body"] > said["high"] + 0.5, "the body is up there"
+    assert said["errors"] > 10
+    assert said["errorM"][1] < LOST_M

@@ -31,10 +31,12 @@ def unpack_rotations(data: bytes) -> np.ndarray:
 def test_states_are_the_golden_ones_to_the_byte():
     stored = json.loads(golden.FILE.read_text(encoding="utf-8"))
     assert golden.golden() == stored
-    first, second, third = (bytes.fromhex(state["bytes"]) for state in stored["states"])
+    first, second, third, fourth, fifth = (bytes.fromhex(state["bytes"]) for state in stored["states"])
     assert [data[3] for data in (first, second, third)] == [3, 0, 1], "after the first, objects that moved"
     assert len(first) == 16 + (12 + 2 * 20) + (12 + 28 + 84) + 3 * 32
     assert struct.unpack_from("<Ii", second, 4) == (2, 0)
+    assert len(fourth) == len(first) + 3 * 6, "all doors and drawers"
+    assert fifth[len(second) :] == struct.pack("<Hf", 1, 0.25), "the one that has moved"
 
 
 def test_rotations_lose_less_than_a_quarter_of_a_degree():

@@ -19,11 +19,12 @@ import pytest
 from h3data.errors import InputError
 from h3data.exporters.gltf_skin import local_poses
 from h3data.exporters.posing import posed_parts
-from h3data.geometry import heading_from_quat
+from h3data.geometry import heading_from_quat, pose_to_matrix, quat_from_axis_angle
 from h3data.recording import Recording, write_mcap
-from h3data.recording.records import Event, SkillSpan
+from h3data.recording.records import JOINTS, Event, SkillSpan
 from h3data.replay import Replay
 from h3data.scene import HomeSpec, build_home
+from h3data.scene.articulation import joints_of
 from h3data_pipelines.cli import main
 from h3data_viewers.html_replay import home, html_file
 from h3data_viewers.html_replay.html_file import write_html
@@ -156,6 +157,42 @@ def test_things_that_move_goals_and_progress_are_there(tidied: Recording, tmp_pa
     assert not any("|" in goal["label"] or re.search(r"_\d", goal["label"]) for goal in about["goals"])
     assert "Objects at their goals, of 2" in [chart["title"] for chart in about["charts"]]
     assert any("started" in event["text"] for event in about["events"])
+
+
+def test_doors_and_drawers_are_moved_by_their_joints(tmp_path: Path) -> None:
+    scene = build_home(HomeSpec(seed=2, articulated=True))
+    episode = rearrange_episode(scene, seed=2)
+    episode = replace(episode, spec=replace(episode.spec, max_steps=6))
+    played, joints = simulate_rearrange(episode, solo_steps=1), joints_of(scene)
+    # all of them are half open at first and move on, so that the home is not shown as the scene has it
+    share = np.linspace(0.5, 1.0, len(played))[:, None]
+    positions = (joints.closed + share * (joints.opened - joints.closed)).astype(np.float32)
+    recording = replace(played, columns={**played.columns, JOINTS: positions})
+    about, found = read(write_html(recording, tmp_path / "e.html").path)
+    stage = about["stage"]
+    assert np.abs(found["joints"] - positions).max() < 1.1e-4
+    assert [joint["name"] for joint in stage["joints"]] == list(joints.names)
+    moved = {name for joint in stage["joints"] for name in joint["nodes"]}
+    assert len(moved) > len(joints)
+    assert not moved & {thing["name"] for thing in stage["objects"]}
+    parts = {part.name: pose_to_matrix(part.poses) for part in posed_parts(Replay(recording, detail=False))}
+    for k, motion in enumerate(_motions(stage["joints"], found["joints"][-1])):
+        for name in stage["joints"][k]["nodes"]:
+            assert np.abs(motion @ parts[name][0] - parts[name][-1]).max() < 1e-3, name
+
+
+def _motions(joints: list[dict[str, Any]], positions: np.ndarray) -> list[np.ndarray]:
+    """As `web/src/scene/joints.ts` moves things from where the file has them."""
+    out: list[np.ndarray] = []
+    for joint, position in zip(joints, positions, strict=True):
+        by, axis, own = position - joint["rest"], np.array(joint["axis"]), np.eye(4)
+        if joint["kind"] == 2:
+            own[:3, 3] = by * axis
+        else:
+            own[:3, :3] = pose_to_matrix(np.append(np.zeros(3), quat_from_axis_angle(axis, by)))[:3, :3]
+            own[:3, 3] = joint["origin"] - own[:3, :3] @ joint["origin"]
+        out.append(own if joint["parent"] < 0 else out[joint["parent"]] @ own)
+    return out
 
 
 def test_what_is_absent_is_absent(tidied: Recording, tmp_path: Path) -> None:

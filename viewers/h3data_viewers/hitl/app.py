@@ -92,6 +92,11 @@ class App:
         """The word for an object of the recording."""
         return name.rpartition("/")[2].replace("_", " ")
 
+    def joint_label(self, name: str) -> str:
+        """Words for a door or drawer ``thing/part``."""
+        thing, _, part = name.rpartition("/")
+        return " ".join(dict.fromkeys(f"{self.label(thing)} {self.label(part)}".split()))
+
     def over(self, number: int) -> str:
         """What the player reads at the end."""
         ended = self.session.ended

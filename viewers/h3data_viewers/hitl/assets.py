@@ -3,8 +3,10 @@ grid on which it predicts the player's own walk."""
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import tempfile
+import zlib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,17 +14,17 @@ from typing import Any
 import numpy as np
 
 from h3data.bodies import Robot
-from h3data.errors import InputError
 from h3data.exporters.gltf_animation import write_gltf_animation
 from h3data.exporters.posing import posed_parts
 from h3data.recording import RecordingHeader
 from h3data.replay import Replay
+from h3data.scene import FreeSpace
 from h3data_viewers.hitl.app import App
 from h3data_viewers.hitl.drivers import driving_base
 from h3data_viewers.hitl.messages import PERIOD_S
 from h3data_viewers.hitl.plan import VERSION
 from h3data_viewers.hitl.wire import BODY_JOINTS
-from h3data_viewers.rigs import robot_rig
+from h3data_viewers.rigs import joint_rigs, robot_rig
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.recorder import finished
@@ -55,24 +57,30 @@ def _anonymous(recording: Any) -> Any:
 
 def distance_grid(session: Session) -> tuple[bytes, dict[str, Any]]:
     """The distance to the nearest obstacle, int16 [nx, nz], and its entry in the manifest."""
-    free = session.episode.free
+    data, entry = _grid(session.episode.free)
+    return data, {**entry, "url": f"world/{digest(data)}.sdf"}
+
+
+def floor_message(free: FreeSpace) -> dict[str, Any]:
+    """A distance grid in place of the one that pages have, with its cells as Base64 of zlib data."""
+    data, entry = _grid(free)
+    return {**entry, "cells": base64.b64encode(zlib.compress(data, 6)).decode()}
+
+
+def _grid(free: FreeSpace) -> tuple[bytes, dict[str, Any]]:
     cells = np.clip(np.rint(np.nan_to_num(free.sdf, posinf=1e3, neginf=-1e3) / GRID_UNIT_M), -32767, 32767)
-    data = cells.astype("<i2").tobytes()
-    return data, {
+    return cells.astype("<i2").tobytes(), {
         "type": "int16",
         "unit": GRID_UNIT_M,
         "shape": list(free.sdf.shape),
         "origin": np.asarray(free.origin, np.float64).round(9).tolist(),
         "cell": float(free.cell_m),
-        "url": f"world/{digest(data)}.sdf",
     }
 
 
 def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
     """Names, rigs and rules of motion; ``me`` is -1, which the front replaces by the player's agent."""
     header, episode = session.recorder.header, session.episode
-    if len(episode.free.heights):
-        raise InputError(f"{episode.scene.name} has stairs, live play needs a level floor. Hint: a home of one storey.")
     moving = sorted((body.moving, body.name) for body in header.bodies if body.moving >= 0)
     agents = []
     for k, member in enumerate(episode.roster):
@@ -89,10 +97,21 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
         "agents": agents,
         "objects": [{"name": name, "label": app.label(name)} for _, name in moving],
         "goals": [asdict(goal) for goal in app.goals()],
+        "joints": _joints(session, app, {name for _, name in moving}),
         "floor_y": float(episode.free.floor_y),
+        "heights": episode.free.heights.round(6).tolist(),
         "dt": PERIOD_S,
         "sdf": sdf,
     }
+
+
+def _joints(session: Session, app: App, movable: set[str]) -> list[dict[str, Any]]:
+    """Doors and drawers, where the task has any that move."""
+    if getattr(session.play, "openables", None) is None:
+        return []
+    return [
+        {**rig, "label": app.joint_label(rig["name"])} for rig in joint_rigs(session.episode.scene, movable=movable)
+    ]
 
 
 def digest(data: bytes) -> str:

@@ -12,13 +12,28 @@ import numpy as np
 
 from h3data.errors import InputError
 from h3data.geometry import Array, heading_from_quat
+from h3data.scene import FreeSpace
 from h3data_viewers.hitl.guide import Guide
-from h3data_viewers.hitl.messages import Act, Drop, Give, GoTo, Hand, Head, Leave, Move, Pick, Place, Stop
+from h3data_viewers.hitl.messages import (
+    Act,
+    Close,
+    Drop,
+    Give,
+    GoTo,
+    Hand,
+    Head,
+    Leave,
+    Move,
+    Open,
+    Pick,
+    Place,
+    Stop,
+)  # fmt: skip
 from sim_kinematic.agents.driven.commands import Drop as DropSkill
 from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCommand
 from sim_kinematic.agents.driven.commands import Place as PlaceSkill
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.skills import Action
+from sim_kinematic.agents.skills import Action, sentence
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.tasks.episode import agent_base, agent_floor
@@ -86,7 +101,7 @@ class Driver:
         base = self.base
         try:
             self.guide = Guide.to(
-                agent_floor(self.session.episode, self.number), self.place[0], xz, heading=heading,
+                self.floor, self.place[0], xz, heading=heading,
                 speed_mps=base.max_speed_mps, turn_rad_s=base.max_turn_rad_s,
             )  # fmt: skip
         except InputError as fault:
@@ -133,13 +148,18 @@ class Driver:
         return pose[[0, 2]], float(heading_from_quat(pose[3:]))
 
     @property
+    def floor(self) -> FreeSpace:
+        """The floor on which paths are found."""
+        return agent_floor(self.session.episode, self.number)
+
+    @property
     def base(self) -> BaseSpec:
         """Discs and limits by which the agent moves."""
         return driving_base(self.session, self.number)
 
 
 class SkillDriver(Driver):
-    """Also picks, places and hands over: skills that run for several steps, one after the other."""
+    """Also picks, places, hands over, opens and closes: skills that run for several steps, one after the other."""
 
     def __init__(self, session: Session, number: int) -> None:
         super().__init__(session, number)
@@ -152,10 +172,14 @@ class SkillDriver(Driver):
             names = self.objects.names
             if message.o >= len(names):
                 raise InputError(f"There is no object {message.o}. Expected 0 to {len(names) - 1}.")
+            if self.is_shut(message.o):
+                return sentence("closed")
             pick = Action("pick", message.o)
             return self.do([Action("nav_to_object", message.o), pick] if message.lead else [pick])
         if isinstance(message, Place):
             return self.put(np.array(message.p), message.lead)
+        if isinstance(message, Open | Close):
+            return self.turn_joint(message)
         if isinstance(message, Drop):
             return self.do([self.drop()])
         if isinstance(message, Give):
@@ -176,9 +200,26 @@ class SkillDriver(Driver):
         if k < 0:
             return "The hand holds nothing."
         if np.linalg.norm(point - self.objects.goals[k]) < GOAL_M:
+            if self.is_shut(k, at_goal=True):
+                return sentence("closed")
             place = Action("place", k)
             return self.do([Action("nav_to_goal", k), place] if lead else [place])
         return self.put_at(point, lead)
+
+    def turn_joint(self, message: Open | Close) -> str:
+        """Opens or closes a door or drawer."""
+        names = self.objects.joints
+        if message.j >= len(names):
+            raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.")
+        if self.objects.held(self.number) >= 0:
+            return sentence("hand_full")
+        skill = Action("open" if isinstance(message, Open) else "close", message.j)
+        return self.do([Action("nav_to_handle", message.j), skill] if message.lead else [skill])
+
+    def is_shut(self, k: int, *, at_goal: bool = False) -> bool:
+        """Whether something has to be opened before object ``k`` can be taken, or put at its goal."""
+        openables = self.session.play.openables  # type: ignore[attr-defined]
+        return openables is not None and openables.barrier_of(k, at_goal=at_goal) >= 0
 
     def put_at(self, point: Array, lead: bool) -> str:
         """Places what is held elsewhere than at its goal."""
@@ -238,6 +279,10 @@ class SkillDriver(Driver):
     @property
     def busy(self) -> bool:
         return self.runs or super().busy or bool(self.queue)
+
+    @property
+    def floor(self) -> FreeSpace:
+        return self.session.play.actors[self.number].free  # type: ignore[attr-defined]
 
     @property
     def objects(self) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 from h3data.errors import H3DataError, InputError
 from h3data.recording import STEP_NS, InputEvent, Recording, RecordingWriter, read_mcap, recover_mcap
 from h3data.recording.live_input import CLIENT, CONNECTED, DISCONNECTED, SLIP, rtt_column, seq_column
+from h3data.scene import FreeSpace
 from h3data_viewers.hitl.app import App, find_app
 from h3data_viewers.hitl.drivers import Driver
 from h3data_viewers.hitl.messages import Act, decode
@@ -117,12 +118,14 @@ class LiveGame:
         self.drivers: dict[int, Driver] = {k: self.app.driver(k) for k in table.numbers}
         for k in table.numbers:
             self.session.recorder.beside |= {seq_column(k): np.int32(-1), rtt_column(k): np.float32(np.nan)}
-        self.packer = StatePacker(self.session.recorder.header, tuple(m.body for m in episode.roster))
+        bodies = tuple(m.body for m in episode.roster)
+        self.packer = StatePacker(self.session.recorder.header, bodies, episode.free.heights)
         self.packed: PackedStep | None = None
         """The last step."""
         self.columns: Columns = {}
         self.ended = ""
         """What ended the episode."""
+        self._barriers: tuple[bytes, list[list[int]]] = b"", []
 
     # --- from players -------------------------------------------------------------------------------------------------
     def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
@@ -183,6 +186,26 @@ class LiveGame:
         flags |= BUSY if driver is not None and driver.busy else 0
         ack = -1 if driver is None else driver.ack
         return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
+
+    def barriers(self) -> list[list[int]]:
+        """The door or drawer that has to be opened first to take each object, and to put it at its goal; -1: none. Empty where
+        nothing opens."""
+        play: Any = self.session.play
+        openables = getattr(play, "openables", None)
+        if openables is None:
+            return []
+        # found again only when something has been opened, closed, taken or put down
+        key = openables.joints.is_open(openables.positions).tobytes() + play.objects.held_by.tobytes()
+        if key != self._barriers[0]:
+            count = len(play.objects.names)
+            ends = (False, True)
+            self._barriers = key, [[openables.barrier_of(k, at_goal=goal) for goal in ends] for k in range(count)]
+        return self._barriers[1]
+
+    @property
+    def floor(self) -> FreeSpace:
+        """The floor as it is now, on which pages predict their players: tasks whose doors move have one (``play.floor``)."""
+        return getattr(self.session.play, "floor", self.session.episode.free)
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:

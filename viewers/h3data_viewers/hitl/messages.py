@@ -76,6 +76,20 @@ class Give(Message, frozen=True, tag="give"):
     a: Index
 
 
+class Open(Message, frozen=True, tag="open"):
+    """Opens door or drawer ``j``; with ``lead``, walks there first."""
+
+    j: Index
+    lead: bool = False
+
+
+class Close(Message, frozen=True, tag="close"):
+    """Closes door or drawer ``j``; with ``lead``, walks there first."""
+
+    j: Index
+    lead: bool = False
+
+
 class Hand(Message, frozen=True, tag="hand"):
     """Where the palm of a hand is, in the person's root frame; without a point the arm is free again."""
 
@@ -107,7 +121,7 @@ class Can(msgspec.Struct, frozen=True, tag_field="k", tag="can"):
     p: Point
 
 
-Act = Move | GoTo | Stop | Pick | Place | Drop | Give | Hand | Head | Leave
+Act = Move | GoTo | Stop | Pick | Place | Drop | Give | Open | Close | Hand | Head | Leave
 """Messages that are recorded."""
 _DECODER: msgspec.json.Decoder[Act | Ping | Can] = msgspec.json.Decoder(Act | Ping | Can)
 

@@ -7,6 +7,7 @@ objects.
 robot:   f32 x, z, heading; i16 joints in units of 2e-4 rad or m
 person:  f32 x, z, heading; f32 pelvis pose7; u32 rotations of 21 joints
 object:  u16 index; i16 agent that holds it, -1 none; f32 pose7
+joint:   u16 index; f32 position of a door or drawer [rad or m]; up to the end of the message
 ```
 
 `web/src/link/wire.ts` reads it; tests/viewers/hitl/golden_states.json is read by the tests of both.
@@ -23,9 +24,11 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.planted_gait import PlantedWalk
+from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs
 from h3data.geometry import Array, heading_from_quat, pose_multiply
 from h3data.recording import RecordingHeader
+from h3data.recording.records import JOINTS
+from h3data.scene.floor_heights import LEVEL
 
 STATE, PONG = 1, 2
 TOUCH, WALL, ENDED, BUSY = 1, 2, 4, 8
@@ -37,6 +40,7 @@ JOINT_UNIT = 2e-4
 """Of a robot's joints [rad or m]."""
 _HEAD = struct.Struct("<BBBBIif")
 _OBJECT = np.dtype([("index", "<u2"), ("held", "<i2"), ("pose", "<f4", 7)])
+_JOINT = np.dtype([("index", "<u2"), ("position", "<f4")])
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 _SHIFTS = np.array([20, 10, 0], np.uint32)
 
@@ -74,12 +78,16 @@ class PackedStep:
     """Objects whose pose or holder has changed."""
     objects: NDArray[Any]
     """All of them."""
+    turned: NDArray[Any]
+    """Doors and drawers whose position has changed."""
+    joints: NDArray[Any]
+    """All of them."""
 
     def state(self, flags: int, step: int, ack: int, clock_ms: float, *, whole: bool) -> bytes:
-        """The state for one player, with all objects where it is ``whole``."""
-        listed = self.objects if whole else self.moved
+        """The state for one player, with all objects and joints where it is ``whole``."""
+        listed, joints = (self.objects, self.joints) if whole else (self.moved, self.turned)
         head = pack_head(flags, self.agents, len(listed), step, ack, clock_ms)
-        return head + self.agent_bytes + listed.tobytes()
+        return head + self.agent_bytes + listed.tobytes() + joints.tobytes()
 
 
 @dataclass
@@ -89,8 +97,11 @@ class StatePacker:
     header: RecordingHeader
     bodies: tuple[Robot | Humanoid, ...]
     """Of the agents."""
+    heights: Array = field(default_factory=LEVEL.copy)
+    """How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs."""
     _walks: dict[int, PlantedWalk] = field(default_factory=dict)
     _objects: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _OBJECT))
+    _joints: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _JOINT))
 
     def __post_init__(self) -> None:
         moving = sorted((b.moving, k) for k, b in enumerate(self.header.bodies) if b.moving >= 0)
@@ -110,10 +121,12 @@ class StatePacker:
                 pelvis, quats = self._pose(k, body, base, columns)
                 parts += [pelvis.astype("<f4").tobytes(), pack_rotations(quats[:BODY_JOINTS])]
             holders[self._number.get(int(columns[agent + "grasp_body"][-1]), -1)] = k
-        objects = self._packed_objects(columns, holders)
-        before, self._objects = self._objects, objects
-        moved = objects if len(before) != len(objects) else objects[before != objects]
-        return PackedStep(len(self.bodies), b"".join(parts), moved, objects)
+        before, self._objects = self._objects, self._packed_objects(columns, holders)
+        turned, self._joints = self._joints, _packed_joints(columns)
+        return PackedStep(
+            len(self.bodies), b"".join(parts), _changed(before, self._objects), self._objects,
+            _changed(turned, self._joints), self._joints,
+        )  # fmt: skip
 
     def _packed_objects(self, columns: Columns, holders: dict[int, int]) -> NDArray[Any]:
         poses = columns["object_pose"][-1] if "object_pose" in columns else np.zeros((0, 7), np.float32)
@@ -132,10 +145,22 @@ class StatePacker:
         # recorded by clips: feet are planted from step to step, as a replay does it (`PosedRecording.joint_matrices`)
         walk = self._walks.get(k)
         if walk is None:
-            walk = self._walks[k] = PlantedWalk(body.gait_tables, base)
+            walk = self._walks[k] = PlantedWalk(on_stairs(body.gait_tables, self.heights), base)
         else:
             walk.step(base)
         quats, pelvis = walk.pose()
         if agent + "motion_arms" in columns:
             draw_in(quats[None], columns[agent + "motion_arms"][-1:])
         return pose_multiply(base, np.concatenate([pelvis, quats[0]])), quats[1:]
+
+
+def _packed_joints(columns: Columns) -> NDArray[Any]:
+    positions = columns[JOINTS][-1] if JOINTS in columns else np.zeros(0, np.float32)
+    joints = np.zeros(len(positions), _JOINT)
+    joints["index"], joints["position"] = np.arange(len(positions)), positions
+    return joints
+
+
+def _changed(before: NDArray[Any], now: NDArray[Any]) -> NDArray[Any]:
+    """Records that differ from those before; all where there were none."""
+    return now if len(before) != len(now) else now[before != now]

@@ -24,10 +24,25 @@ import msgspec
 
 from h3data.errors import H3DataError, InputError
 from h3data.recording import pack_mcap, write_mcap
+from h3data.scene.articulation import joints_of
 from h3data_viewers.hitl import assets
 from h3data_viewers.hitl.channel import Channel, Closed
 from h3data_viewers.hitl.live import LiveGame, Table
-from h3data_viewers.hitl.messages import PERIOD_S, Act, Drop, GoTo, Hand, Head, Leave, Move, Pick, Place, decode
+from h3data_viewers.hitl.messages import (
+    PERIOD_S,
+    Act,
+    Close,
+    Drop,
+    GoTo,
+    Hand,
+    Head,
+    Leave,
+    Move,
+    Open,
+    Pick,
+    Place,
+    decode,
+)  # fmt: skip
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_BEHIND = 3
@@ -71,6 +86,10 @@ class Running:
     latest_s: deque[float] = field(default_factory=lambda: deque(maxlen=MEASURED_STEPS))
     """CPU time of the latest steps, with packing and sending."""
     huds: dict[int, Any] = field(default_factory=dict)
+    barriers: dict[int, Any] = field(default_factory=dict)
+    """What each player was last told of what is shut in."""
+    floors: dict[int, Any] = field(default_factory=dict)
+    """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
     planned: dict[int, int] = field(default_factory=dict)
     """Step in which each player last asked to be led to a thing."""
 
@@ -256,6 +275,9 @@ class Worker:
         (running.here.add if here else running.here.discard)(number)
         running.whole = True
         running.huds.pop(number, None)
+        running.barriers.pop(number, None)
+        if number in running.floors:
+            running.floors[number] = None  # the page may have been loaded again
         if running.runs and not ran:
             running.due = self._free_time(running)
         if not running.runs and running.game.packed is not None:
@@ -330,7 +352,7 @@ class Worker:
         running.latest_s.append(time.process_time() - cpu)
 
     def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:
-        if isinstance(message, Pick | Place) and message.lead:
+        if isinstance(message, Pick | Place | Open | Close) and message.lead:
             now, before = len(running.game.session.recorder), running.planned.get(number, -PLAN_STEPS)
             if now - before < PLAN_STEPS:
                 return
@@ -349,7 +371,14 @@ class Worker:
         running.whole = False
         if states:
             self.channel.send("state", running.key, states)
+        barriers = game.barriers()
         for number in running.here:
+            if running.barriers.get(number, []) != barriers:
+                running.barriers[number] = barriers
+                self.channel.send("told", running.key, [number, {"barriers": barriers}])
+            if running.floors.get(number, game.session.episode.free) is not game.floor:
+                running.floors[number] = game.floor
+                self.channel.send("told", running.key, [number, {"floor": assets.floor_message(game.floor)}])
             hud = game.app.hud(number)
             # pages count the seconds down themselves
             words = (hud.task, hud.lines, hud.marker, None if hud.left_s is None else hud.left_s // HUD_S)
@@ -404,6 +433,7 @@ def rehearse(table: Table) -> None:
         (Head(yaw=0.2, pitch=0.1), 3),
         (Pick(o=0, lead=True), 150),
         (Drop(), 20),
+        (Open(j=0, lead=True), 90 if joints_of(game.session.episode.scene) else 0),
         (GoTo(p=(float(game.session.episode.starts[0, 0]), 0.0, float(game.session.episode.starts[0, 1]))), 60),
     ):
         for driver in game.drivers.values():

@@ -92,7 +92,8 @@ def _block(recording: Recording, replay: Replay, rows: np.ndarray) -> bytes:
     scene = replay.scene
     bases = [recording.agent_column(k, "base_pose")[:, :3] for k in range(len(recording.agents))]
     floor_y = scene.rooms[0].floor_y if scene is not None and scene.rooms else _lowest(bases)
-    stage = {**add_tracks(payload, replay, parts, rows), "floor_y": float(floor_y)}
+    heights = replay.heights.round(6).tolist()
+    stage = {**add_tracks(payload, replay, parts, rows), "floor_y": float(floor_y), "heights": heights}
     return payload.packed({"stage": stage, "facts": _facts(recording, replay), **add_story(payload, recording, rows)})
 
 

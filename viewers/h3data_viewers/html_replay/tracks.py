@@ -1,4 +1,5 @@
-"""Who and what moves in a replay, as the page poses it: robots by joints, people by bones, everything else by poses."""
+"""Who and what moves in a replay, as the page poses it: robots, doors and drawers by joints, people by bones, everything else
+by poses."""
 
 from __future__ import annotations
 
@@ -11,34 +12,53 @@ from h3data.bodies import Robot
 from h3data.exporters.gltf_skin import local_poses
 from h3data.exporters.posed_parts import PosedPart
 from h3data.geometry import Array, heading_from_quat, quat_sign_continuous
+from h3data.recording.records import JOINTS
 from h3data.replay import Replay
+from h3data.scene.articulation import posed
 from h3data_viewers.html_replay.packing import Payload
-from h3data_viewers.rigs import robot_rig
+from h3data_viewers.rigs import joint_rigs, robot_rig
 
 POSITION_M, HEADING_RAD, JOINT, ROTATION = 5e-4, 5e-4, 2e-4, 1e-3
-"""Steps of what is stored: of positions, headings, joints of robots [rad or m] and components of quaternions. Live play
+"""Steps of what is stored: of positions, headings, joints [rad or m] and components of quaternions. Live play
 sends joints as finely and rotations in steps of 1.4e-3."""
 _STILL = 1e-4
 _BODY_HEIGHT_M = {"robot": 0.95, "human": 1.95}
 
 
 def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: NDArray[np.integer]) -> dict[str, Any]:
-    """Adds the states at ``rows`` of the recording; returns the agents and things of the page's manifest.
+    """Adds the states at ``rows`` of the recording; returns the agents, things and joints of the page's manifest.
 
     ``parts`` are posed at ``rows`` (`h3data.exporters.posing.posed_parts`).
     """
     agents = [_agent(payload, replay, parts, k, rows) for k in range(len(replay.recording.agents))]
+    joints = _joints(payload, replay, rows)
+    turned = {name for joint in joints for name in joint["nodes"]}
     rigged = {f"{agent['name']}/{link['name']}" for agent in agents for link in agent.get("links", ())}
     things: list[dict[str, Any]] = []
     for part in parts:
-        if not len(part.mesh.faces) or (part.body is None and (part.skeleton is not None or part.name in rigged)):
+        if (
+            not len(part.mesh.faces)
+            or part.name in turned
+            or (part.body is None and (part.skeleton is not None or part.name in rigged))
+        ):
             continue
         if part.skeleton is not None:
             for joint, name in enumerate(part.skeleton.names):
                 _add_thing(payload, things, f"{part.name}/{name}", part.skeleton.poses[:, joint])
         elif len(part.poses) > 1:
             _add_thing(payload, things, part.name, part.poses)
-    return {"agents": agents, "objects": things}
+    return {"agents": agents, "objects": things, "joints": joints}
+
+
+def _joints(payload: Payload, replay: Replay, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
+    """Adds the positions of doors and drawers; returns their rigs, at rest where the first row, and so the home, has them."""
+    recording = replay.recording
+    positions = recording.columns.get(JOINTS)
+    if replay.scene is None or positions is None or not positions.shape[1] or not np.isfinite(positions[rows]).all():
+        return []
+    payload.add_array("joints", positions[rows], JOINT)
+    movable = {body.name for body in recording.bodies if body.moving >= 0}
+    return joint_rigs(posed(replay.scene, positions[rows[0]]), movable=movable)
 
 
 def _add_thing(payload: Payload, things: list[dict[str, Any]], name: str, poses: Array) -> None:

@@ -75,7 +75,7 @@ class TutorialApp(RearrangeApp):
         mark = None
         if current == WALK and number in self.marks:
             x, z = self.marks[number].tolist()
-            mark = (x, float(self.session.episode.free.floor_y), z)
+            mark = (x, float(self.session.episode.free.height_at(self.marks[number])), z)
         return Hud(task=texts[min(current, PUT)][1], left_s=None, lines=tuple(lines), marker=mark)
 
     def over(self, number: int) -> str:

@@ -16,7 +16,7 @@ STATE = 1
 TOUCH, WALL, ENDED, BUSY = 1, 2, 4, 8
 """Flags of states, as in `h3data_viewers.hitl.wire`, which needs NumPy."""
 HEAD = struct.Struct("<BBBBIif")
-_ROBOT, _PERSON, _OBJECT = struct.Struct("<3f"), struct.Struct("<3f"), struct.Struct("<Hh7f")
+_ROBOT, _OBJECT, _JOINT = struct.Struct("<3f"), struct.Struct("<Hh7f"), struct.Struct("<Hf")
 _PERSON_BYTES = 12 + 28 + 21 * 4
 MOST_KEPT = 20_000
 
@@ -47,6 +47,8 @@ class Client:
     bases: list[tuple[float, float, float]] = field(default_factory=list)
     """Of the agents in the last state: x, z, heading."""
     things: list[Thing] = field(default_factory=list)
+    joints: list[float] = field(default_factory=list)
+    """Positions of doors and drawers [rad or m]."""
     states: int = 0
     bytes: int = 0
     """Of states."""
@@ -94,6 +96,7 @@ class Client:
             self._hearing.cancel()
         self.head, self.told, self.close_code = (STATE, 0, 0, 0, 0, -1, 0.0), [], None
         self.things, self._latest = [Thing() for _ in self.manifest["objects"]], 0.0
+        self.joints = [joint["rest"] for joint in self.manifest["joints"]]
         self.socket = await self.http.ws_connect(self.address, compress=0)
         self._hearing = asyncio.create_task(self._hear())
 
@@ -128,6 +131,8 @@ class Client:
             index, held, x, y, z, *_ = _OBJECT.unpack_from(data, at)
             self.things[index] = Thing(held, (x, y, z))
             at += _OBJECT.size
+        for index, position in _JOINT.iter_unpack(data[at:]):
+            self.joints[index] = position
         for seq in range(before + 1, self.head[5] + 1):
             if seq in self._sent:
                 self.delays.append(now - self._sent.pop(seq))

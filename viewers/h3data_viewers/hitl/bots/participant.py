@@ -145,7 +145,8 @@ class ScriptedParticipant(Client):
                 await self._fetch()
 
     async def _fetch(self) -> None:
-        """Takes the nearest thing that is not where it belongs, or waits where somebody else has them all."""
+        """Takes the nearest thing that is not where it belongs, once nothing shuts in its place or itself; waits where somebody
+        else has them all."""
         x, z, _ = self.bases[self.me]
         open_ = [k for k in range(len(self.manifest["goals"])) if not self._is_done(k) and self.things[k].held < 0]
         if not open_:
@@ -154,10 +155,14 @@ class ScriptedParticipant(Client):
         if self.chance.random() < HESITATES:
             await self._steer(12)
         gaps = {k: math.hypot(self.things[k].position[0] - x, self.things[k].position[2] - z) for k in open_}
+        nearest = min(gaps, key=gaps.__getitem__)
+        if (joint := self._barrier(nearest)) >= 0:
+            await self._do(k="open", j=joint, lead=True)
+            return
         refusals = len(self.heard("why"))
-        await self._do(k="pick", o=min(gaps, key=gaps.__getitem__), lead=True)
+        await self._do(k="pick", o=nearest, lead=True)
         if len(self.heard("why")) > refusals:
-            await self._face(self.things[min(gaps, key=gaps.__getitem__)].position)  # the tutorial asks for it
+            await self._face(self.things[nearest].position)  # the tutorial asks for it
 
     async def _stroll(self) -> None:
         await self._steer(30)
@@ -205,6 +210,12 @@ class ScriptedParticipant(Client):
     def mine(self) -> int:
         """The thing that the bot holds; -1: none."""
         return next((k for k, thing in enumerate(self.things) if thing.held == self.me), -1)
+
+    def _barrier(self, k: int) -> int:
+        """The door or drawer to open before thing ``k`` is taken: what shuts in its goal, then what it is in; -1: none."""
+        told = self.heard("barriers")
+        own, of_goal = told[-1][k] if told else (-1, -1)
+        return of_goal if of_goal >= 0 else own
 
     def _is_done(self, k: int) -> bool:
         thing, goal = self.things[k], self.manifest["goals"][k]["position"]

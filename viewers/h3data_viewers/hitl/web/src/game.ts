@@ -1,7 +1,7 @@
 /** A session as it is played: what is pressed becomes messages, states become pictures, reasons become sentences. */
 
 import { Vector3, WebGLRenderer } from "three";
-import { hints, holderText, situation, type Situation } from "./player/actions.ts";
+import { deed, hints, holderText, situation, turnText, type Barriers, type Deed, type Situation } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
 import { Headset } from "./headset/xr.ts";
@@ -16,6 +16,7 @@ import type { Sdf } from "./motion/sdf.ts";
 import { Sound } from "./player/sound.ts";
 import { Steering } from "./motion/steering.ts";
 import { FLAG, type State } from "./link/wire.ts";
+import { isOpen } from "./scene/joints.ts";
 import { between, type World } from "./scene/world.ts";
 
 /** Others are shown this late, so that there are two states to go between. */
@@ -44,6 +45,8 @@ export class Game {
   /** Where the player's body is shown. */
   shown: Base = { x: 0, z: 0, heading: 0 };
   now: Situation | null = null;
+  /** What has to be opened first, as the server has told. */
+  barriers: Barriers = [];
   frames = 0;
   headset: Headset | null = null;
   private readonly cues: Cues;
@@ -60,7 +63,7 @@ export class Game {
   constructor(
     readonly manifest: Manifest,
     readonly world: World,
-    sdf: Sdf,
+    readonly sdf: Sdf,
     readonly net: Net,
     private readonly hud: Hud,
     options: { antialias: boolean; pixelRatio: number; renderer?: WebGLRenderer },
@@ -74,7 +77,7 @@ export class Game {
     this.renderer = options.renderer ?? new WebGLRenderer({ canvas: hud.canvas, antialias: options.antialias });
     if (!options.renderer) this.renderer.setPixelRatio(options.pixelRatio);
     this.cues = new Cues(world, manifest, sdf, hud.marks, hud.map);
-    this.pointing = new Pointing(world, manifest.floor_y);
+    this.pointing = new Pointing(world);
     const agent = manifest.agents[manifest.me];
     if (agent) {
       this.predictor = new Predictor(sdf, agent.drive, manifest.dt);
@@ -167,19 +170,30 @@ export class Game {
     else if (wish === "give" && now.held >= 0) {
       if (now.robot >= 0) this.net.send({ k: "give", a: now.robot });
       else this.refused("There is no robot near enough to give it to.");
+    } else if (wish === "turn") {
+      if (now.joint >= 0) this.turn(now.joint);
+      else this.hud.toast("Nothing in this home opens.");
     } else if (wish === "act" || wish === "goto") this.handle(now, wish === "goto");
   }
 
-  /** Takes the next thing or puts down what is held; with `lead`, walks there first. */
+  /** Takes the next thing, opens what it is in, or puts down what is held; with `lead`, walks there first. */
   private handle(now: Situation, lead: boolean): void {
-    if (now.held >= 0) {
+    const next = deed(now, lead);
+    if (next.kind === "put") {
       const aim = lead ? null : this.aim;
       const goal = this.manifest.goals[now.held];
       if (aim && aim.fits === false) this.refused(aim.why);
       else if (aim) this.net.send({ k: "place", p: numbers(aim.point) });
       else if (goal) this.net.send({ k: "place", p: goal.position, lead });
-    } else if (now.next >= 0) this.net.send({ k: "pick", o: now.next, lead });
+    } else if (next.kind === "turn") this.turn(next.joint);
+    else if (next.kind === "take") this.net.send({ k: "pick", o: next.thing, lead });
     else this.hud.toast("Everything is where it belongs, or in somebody's hand.");
+  }
+
+  /** Opens or closes a door or drawer, and walks there first. */
+  private turn(joint: number): void {
+    const shut = !isOpen(this.manifest.joints[joint]!, this.net.latest!.joints[joint]!);
+    this.net.send({ k: shut ? "open" : "close", j: joint, lead: true });
   }
 
   private point(x: number, y: number): void {
@@ -187,6 +201,7 @@ export class Game {
     const [px, py] = document.pointerLockElement ? [0, 0] : [x, y];
     const target = this.pointing.target(px, py, this.camera.camera, this.now.held);
     if (target.kind === "thing" && this.now.held < 0) this.net.send({ k: "pick", o: target.thing, lead: true });
+    else if (target.kind === "joint") this.turn(target.joint);
     else if (target.kind === "top" && this.now.held >= 0)
       this.net.send({ k: "place", p: this.standing(target.point), lead: true });
     else if (target.kind === "floor") {
@@ -241,19 +256,20 @@ export class Game {
     this.place(state, a, b, share, seconds);
     const steps = this.input.pressedAt > 0 && Math.abs(was.x - this.shown.x) + Math.abs(was.heading - this.shown.heading) > 1e-4;
     this.world.pose(a, b, share, this.manifest.me, this.steering ? this.shown : null);
+    if (this.steering) this.camera.floorY = this.world.floor.height(this.shown.x, this.shown.z);
     if (!this.headset?.on) this.camera.follow(this.shown, this.world.solid, seconds);
     this.world.showBody(this.manifest.me, this.headset?.on || !this.camera.hidesBody);
     this.world.showHead(this.manifest.me, !this.headset?.on && this.camera.view !== "first");
-    this.now = situation(this.manifest, state, this.manifest.me, this.shown);
+    this.now = situation(this.manifest, state, this.manifest.me, this.shown, this.barriers, this.world.joints.handles);
     this.preview(this.now);
     this.cues.draw(state, this.now, this.manifest.me, this.shown, this.camera.camera, this.camera.yaw);
     this.tell(state, this.now);
+    this.coarsen(); // before the picture: a canvas of another size is empty
     this.renderer.render(this.world.scene, this.camera.camera);
     if (steps) {
       this.keyMs.push(performance.now() - this.input.pressedAt);
       this.input.pressedAt = 0;
     }
-    this.coarsen();
     if (!this.frames++) performance.mark("first-frame");
   }
 
@@ -312,13 +328,21 @@ export class Game {
     this.hud.time(state.step * this.manifest.dt);
     const plays = this.steering && !this.ended;
     const busy: [string, string][] = [[this.input.device === "keys" ? "W" : "", "to steer yourself again"]];
-    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : hints(now, this.manifest, this.input.device, this.aim?.fits ?? null));
+    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : hints(now, this.manifest, state, this.input.device, this.aim?.fits ?? null));
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
       const who = holderText(this.manifest, state.things[k]!.held);
       const item = { thing: k, name: this.manifest.objects[k]!.label, done: now.done[k]! };
-      return { ...item, state: item.done ? "there" : who || `to the ${goal.label}` };
+      const where = `${now.shut[k] ? "shut in, " : ""}to the ${goal.label}`;
+      return { ...item, state: item.done ? "there" : who || where };
     }));
-    this.hud.thumb(now.held >= 0 ? "Put down" : "Take", now.held >= 0 ? "Bring it" : "Fetch");
+    this.hud.thumb(...([false, true].map((lead) => this.thumb(deed(now, lead), state, lead)) as [string, string]));
+  }
+
+  /** What a button under the thumb does now. */
+  private thumb(next: Deed, state: State, lead: boolean): string {
+    if (next.kind === "put") return lead ? "Bring it" : "Put down";
+    if (next.kind === "turn") return turnText(this.manifest, state, next.joint).startsWith("open") ? "Open" : "Close";
+    return lead ? "Fetch" : "Take";
   }
 
   private async offerHeadset(drive: Driving): Promise<void> {
@@ -331,7 +355,7 @@ export class Game {
     };
     const speed = { forward: drive.speed, turn: drive.turn, step: this.manifest.dt };
     const { signal } = this.life;
-    const headset = new Headset(this.renderer, this.camera.camera, this.manifest.floor_y, speed, player, signal);
+    const headset = new Headset(this.renderer, this.camera.camera, this.world.floor, speed, player, signal);
     this.world.scene.add(headset.rig);
     this.headset = headset;
     this.hud.show("button-vr", true);

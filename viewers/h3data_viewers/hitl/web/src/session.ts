@@ -2,8 +2,11 @@
 
 import { Refused, takeSeat } from "./link/flow.ts";
 import { Game } from "./game.ts";
+import type { Barriers } from "./player/actions.ts";
 import { Hud } from "./screen/hud.ts";
 import { Net, type Link } from "./link/net.ts";
+import { unpacked } from "./link/packed.ts";
+import type { SdfShape } from "./motion/sdf.ts";
 import { installProbe, noteOver } from "./probe.ts";
 import { World } from "./scene/world.ts";
 
@@ -78,6 +81,10 @@ interface Message {
   why?: string;
   toast?: string;
   hud?: { task: string; left_s?: number | null; lines?: string[]; marker?: [number, number, number] | null };
+  /** For each thing the door or drawer to be opened before it is taken, and before it is put at its goal; -1: none. */
+  barriers?: Barriers;
+  /** The distance grid of the floor as it is now, its cells as Base64 of zlib data. */
+  floor?: SdfShape & { cells: string };
   can?: { p: number[]; why: string };
   pause?: string;
   over?: { ended: string; text?: string; next?: boolean };
@@ -89,6 +96,11 @@ function hear(game: Game, hud: Hud, around: Around, message: Message): void {
   if (message.hud) {
     hud.task(message.hud.task, message.hud.lines ?? [], message.hud.left_s ?? null);
     game.mark(message.hud.marker ?? null);
+  }
+  if (message.barriers) game.barriers = message.barriers;
+  if (message.floor) {
+    const { cells, ...map } = message.floor;
+    void unpacked(cells).then((bytes) => game.sdf.replace(map, bytes.buffer));
   }
   if (message.can) game.answer(message.can.p, message.can.why);
   if (message.pause) hud.phase("paused", "The home stands still", message.pause);

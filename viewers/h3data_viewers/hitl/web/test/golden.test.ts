@@ -16,6 +16,7 @@ interface Said {
   clock_ms: number;
   robot: { base: number[]; joints: number[] };
   person: { base: number[]; root: number[]; quats: number[][] };
+  joints: number[];
   things: { index: number; held: number; pose: number[] }[];
 }
 
@@ -46,9 +47,10 @@ test("states that Python has packed are read as it has written them", () => {
       assert.equal(state.things[index]!.held, held);
       near([...state.things[index]!.pose], pose, 1e-6);
     }
+    near([...state.joints], said.joints, 1e-7);
     before = state;
   }
-  assert.ok(GOLDEN.states.length > 2);
+  assert.ok(GOLDEN.states.length > 4);
 });
 
 test("a pong that Python has packed is read", () => {

@@ -1,7 +1,8 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { Payload, unpacked } from "../src/replay/payload.ts";
+import { unpacked } from "../src/link/packed.ts";
+import { Payload } from "../src/replay/payload.ts";
 
 interface Golden {
   block: string;

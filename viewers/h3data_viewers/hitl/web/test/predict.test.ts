@@ -36,6 +36,19 @@ test("a grid of the wrong size is refused", () => {
   assert.throws(() => new Sdf({ shape: [3, 3], origin: [0, 0], cell: 1, unit: 1, type: "int8" }, new ArrayBuffer(2)), /in 9 bytes, got 2/);
 });
 
+test("a grid that is replaced is the one that is walked on", () => {
+  const there = { shape: [80, 60] as [number, number], origin: [0, 0] as [number, number], cell: 0.1, unit: 0.001, type: "int16" as const };
+  const sdf = new Sdf(there, new Int16Array(80 * 60).fill(2000).buffer);
+  const go = (): number => drive(sdf, { x: 4, z: 3, heading: 0 }, { forward: 1, turn: 0 }, HOW, DT).x - 4;
+  assert.ok(Math.abs(go() - 2.5 / 30) < 1e-9);
+  const walls = new Int16Array(40 * 60).fill(2000).fill(-100, 20 * 60); // of another size: closed from x = 4 on
+  sdf.replace({ ...there, shape: [40, 60], origin: [2, 0] }, walls.buffer);
+  assert.equal(go(), 0);
+  assert.equal(sdf.version, 1);
+  assert.throws(() => sdf.replace(there, walls.buffer), /Expected a distance grid of 80 x 60/);
+  assert.equal(sdf.map.shape[0], 40, "a grid that is refused changes nothing");
+});
+
 test("in the open a body moves along its old heading and then turns", () => {
   const base = drive(OPEN, { x: 2, z: 3, heading: 0 }, { forward: 1, turn: 1 }, HOW, DT);
   assert.ok(Math.abs(base.x - (2 + 2.5 / 30)) < 1e-12);

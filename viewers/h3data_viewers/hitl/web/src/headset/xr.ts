@@ -2,6 +2,7 @@
 
 import { Group, Quaternion, Vector3, type PerspectiveCamera, type WebGLRenderer } from "three";
 import type { Base, Velocity } from "../motion/drive.ts";
+import type { Floor } from "../motion/floor.ts";
 import { clamp, wrapAngle } from "../motion/sdf.ts";
 import { Panel } from "./panel.ts";
 
@@ -61,7 +62,7 @@ export class Headset {
   constructor(
     private readonly renderer: WebGLRenderer,
     camera: PerspectiveCamera,
-    private readonly floorY: number,
+    private readonly floor: Floor,
     private readonly speed: { forward: number; turn: number; step: number },
     private readonly player: XrPlayer,
     private readonly life: AbortSignal,
@@ -119,7 +120,7 @@ export class Headset {
     this.rig.rotation.set(0, this.room, 0);
     const offset = new Vector3(this.anchor.x, 0, this.anchor.z).applyAxisAngle(UP, this.room);
     const [ahead, aside] = [Math.cos(body.heading) * EYES_M, -Math.sin(body.heading) * EYES_M];
-    this.rig.position.set(body.x + ahead - offset.x, this.floorY, body.z + aside - offset.z);
+    this.rig.position.set(body.x + ahead - offset.x, this.floor.height(body.x, body.z), body.z + aside - offset.z);
     this.rig.updateMatrixWorld(true);
     this.rig.localToWorld(this.head.copy(eye));
     this.panel.show(words, eye, facing, seconds);
@@ -207,7 +208,7 @@ export class Headset {
     const at = this.hands[side];
     const [dx, dz] = [at.x - body.x, at.z - body.z];
     const [c, s] = [Math.cos(body.heading), Math.sin(body.heading)];
-    const p = [c * dx - s * dz, at.y - this.floorY, s * dx + c * dz].map((value) => round(value, 4));
+    const p = [c * dx - s * dz, at.y - this.floor.height(body.x, body.z), s * dx + c * dz].map((value) => round(value, 4));
     return { k: "hand", side, p, q: null };
   }
 

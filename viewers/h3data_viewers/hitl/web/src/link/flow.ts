@@ -1,6 +1,7 @@
 /** From the address of the page to a seat: what the server hands out before anything moves. */
 
 import type { Manifest } from "./manifest.ts";
+import { Floor } from "../motion/floor.ts";
 import { Sdf } from "../motion/sdf.ts";
 
 export interface Seat {
@@ -32,7 +33,8 @@ export async function takeSeat(progress: (text: string) => void): Promise<Seat> 
   const [glb, grid] = await Promise.all([bytes(answer.glb as string), bytes(manifest.sdf.url)]);
   const url = new URL(answer.socket as string, location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-  return { manifest, glb, sdf: new Sdf(manifest.sdf, grid), socket: url.href };
+  const floor = new Floor(manifest.heights, manifest.floor_y);
+  return { manifest, glb, sdf: new Sdf(manifest.sdf, grid, floor), socket: url.href };
 }
 
 /** Tries again while the machine is busy with others. */

@@ -1,6 +1,8 @@
 /** What the server tells once: who and what is there, the rules of motion, the floor. */
 
 import type { Driving } from "../motion/drive.ts";
+import type { HeightRow } from "../motion/floor.ts";
+import type { Joint } from "../scene/joints.ts";
 import type { Link, Pose7 } from "../scene/robot.ts";
 import type { SdfShape } from "../motion/sdf.ts";
 
@@ -12,6 +14,8 @@ export interface StagedAgent {
   base?: Pose7;
   links?: Link[];
   joints?: number;
+  /** Robot that climbs stairs: how far apart its ends are that stand on them, m; 0: it stays upright. */
+  climbs?: number;
   /** Person: names of the joints that states move, the pelvis first. */
   bones?: string[];
 }
@@ -25,6 +29,10 @@ export interface ThingInfo {
   label: string;
 }
 
+export interface JointInfo extends Joint {
+  label: string;
+}
+
 export interface GoalInfo {
   position: [number, number, number];
   /** Where that is, such as "nightstand". */
@@ -35,13 +43,18 @@ export interface GoalInfo {
 export interface Stage {
   agents: StagedAgent[];
   objects: { name: string }[];
+  /** Doors and drawers that states move. */
+  joints: Joint[];
   floor_y: number;
+  /** How high the floor is at a place, where stairs join storeys; empty: it is level. */
+  heights: HeightRow[];
 }
 
 export interface Manifest extends Stage {
   version: number;
   agents: AgentInfo[];
   objects: ThingInfo[];
+  joints: JointInfo[];
   /** Index of the player's agent; -1: a spectator. */
   me: number;
   /** One for each object that has to be brought somewhere, by the index of the object. */

@@ -38,6 +38,8 @@ export interface State {
   clockMs: number;
   agents: AgentState[];
   things: ThingState[];
+  /** Positions of doors and drawers, rad or m. */
+  joints: Float32Array;
 }
 
 export const FLAG = { touch: 1, wall: 2, ended: 4, busy: 8 } as const;
@@ -55,6 +57,8 @@ const HEAD_BYTES = 16;
 /** Joints of a person that move, after the pelvis. */
 export const BODY_JOINTS = 21;
 const JOINT_UNIT = 2e-4;
+/** Of a door or drawer. */
+const JOINT_BYTES = 6;
 /** The three components that are sent, by the index of the one that is not: the largest. */
 const SENT = [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]] as const;
 
@@ -64,7 +68,7 @@ export function decodePong(data: ArrayBuffer): { clientMs: number; serverMs: num
   return { clientMs: view.getFloat64(8, true), serverMs: view.getFloat64(16, true) };
 }
 
-/** A state. Things that it leaves out are where `before` has them. */
+/** A state. Things and joints that it leaves out are where `before` has them. */
 export function decodeState(data: ArrayBuffer, agents: AgentLayout[], before: State | undefined): State {
   const view = new DataView(data);
   if (view.getUint8(0) !== STATE) throw new Error(`Expected a state, got a message of kind ${view.getUint8(0)}.`);
@@ -78,10 +82,17 @@ export function decodeState(data: ArrayBuffer, agents: AgentLayout[], before: St
     clockMs: view.getFloat32(12, true),
     agents: agents.map((agent) => (agent.kind === "robot" ? read.robot(agent.joints) : read.person())),
     things: before ? [...before.things] : [],
+    joints: before?.joints ?? new Float32Array(0),
   };
   for (let left = view.getUint8(3); left > 0; left--) {
     const [index, thing] = read.thing();
     state.things[index] = thing;
+  }
+  const joints = read.joints();
+  if (joints.length) {
+    state.joints = new Float32Array(Math.max(state.joints.length, joints.length)); // the first state has all of them
+    state.joints.set(before?.joints ?? []);
+    for (const [index, position] of joints) state.joints[index] = position;
   }
   return state;
 }
@@ -112,6 +123,14 @@ class Reader {
     const held = this.view.getInt16(this.at + 2, true);
     this.at += 4;
     return [index, { held, pose: this.floats(7) }];
+  }
+
+  /** Indices and positions up to the end. */
+  joints(): [number, number][] {
+    const joints: [number, number][] = [];
+    for (; this.at < this.view.byteLength; this.at += JOINT_BYTES)
+      joints.push([this.view.getUint16(this.at, true), this.view.getFloat32(this.at + 2, true)]);
+    return joints;
   }
 
   private floats(count: number): Float32Array {

@@ -51,10 +51,16 @@ export interface Velocity {
   lateral?: number;
 }
 
-/** Where a base is after `dt` seconds under a command, -1..1 each, beside the discs of others. */
+/** Where a base is after `dt` seconds under a command, -1..1 each, beside the discs of others; slower on stairs. */
 export function drive(sdf: Sdf, base: Base, command: Velocity, how: Driving, dt: number, others: Disc[] = []): Base {
-  const target = driveAlone(sdf, base, command, how, dt);
+  const target = driveAlone(sdf, base, onStairs(sdf, base, command), how, dt);
   return how.solid && others.length ? keepApart(sdf, base, target, others, how) : target;
+}
+
+/** `sim_kinematic.motion.step.stairs_speeds`. */
+function onStairs(sdf: Sdf, base: Base, command: Velocity): Velocity {
+  const pace = sdf.floor.pace(base.x, base.z);
+  return { forward: command.forward * pace, turn: command.turn, lateral: (command.lateral ?? 0) * pace };
 }
 
 /** `sim_kinematic.motion.step.keep_apart`: slides along others; who is too near already may leave, and gets no nearer. */

@@ -1,5 +1,7 @@
 /** Signed distance to the nearest obstacle on the floor plan, as `h3data.scene.FreeSpace` samples it. */
 
+import { Floor } from "./floor.ts";
+
 export interface SdfShape {
   /** Cells along x and along z. */
   shape: [number, number];
@@ -14,16 +16,27 @@ export interface SdfShape {
 }
 
 export class Sdf {
-  readonly nx: number;
-  readonly nz: number;
-  private readonly values: Float32Array;
+  map!: SdfShape;
+  nx = 0;
+  nz = 0;
+  /** How often the grid has been replaced. */
+  version = -1;
+  private values = new Float32Array(0);
 
   /** The cells row by row along z. */
-  constructor(readonly map: SdfShape, bytes: ArrayBuffer) {
-    [this.nx, this.nz] = map.shape;
-    const size = this.nx * this.nz * (map.type === "int16" ? 2 : 1);
+  constructor(map: SdfShape, bytes: ArrayBuffer, readonly floor = new Floor([], 0)) {
+    this.replace(map, bytes);
+  }
+
+  /** Takes another grid: something has opened or closed that stands on the floor. */
+  replace(map: SdfShape, bytes: ArrayBuffer): void {
+    const [nx, nz] = map.shape;
+    const size = nx * nz * (map.type === "int16" ? 2 : 1);
     if (bytes.byteLength !== size)
-      throw new Error(`Expected a distance grid of ${this.nx} x ${this.nz} cells in ${size} bytes, got ${bytes.byteLength}.`);
+      throw new Error(`Expected a distance grid of ${nx} x ${nz} cells in ${size} bytes, got ${bytes.byteLength}.`);
+    this.map = map;
+    [this.nx, this.nz] = map.shape;
+    this.version++;
     const cells = map.type === "int16" ? new Int16Array(bytes) : new Int8Array(bytes);
     this.values = Float32Array.from(cells, (value) => value * map.unit);
   }

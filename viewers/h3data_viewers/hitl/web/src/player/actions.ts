@@ -1,6 +1,7 @@
 /** What the player can do from where they stand, and what of it is asked for. */
 
 import type { Base } from "../motion/drive.ts";
+import { isOpen } from "../scene/joints.ts";
 import type { Manifest } from "../link/manifest.ts";
 import type { State } from "../link/wire.ts";
 
@@ -9,19 +10,46 @@ export const NEAR_M = 1.1;
 /** A thing this near to its goal is where it belongs, m. */
 const AT_GOAL_M = 0.15;
 
+/** For each thing the joint to be opened before it is taken, and before it is put at its goal; -1: none. Empty: nothing opens. */
+export type Barriers = [number, number][];
+
 export interface Situation {
   /** Thing in the player's hand; -1: none. */
   held: number;
   /** Thing to take next: the nearest one that is not where it belongs; -1: none. */
   next: number;
+  /** Door or drawer to open before `next` is taken, while the hand is free: that of its goal, then its own; -1: none. */
+  first: number;
+  /** Whether `first` is shut before the goal. */
+  forGoal: boolean;
   /** From the player to `next`, or to the goal of what is held, m. */
   far: number;
+  /** Nearest door or drawer, and how far its handle is, m; -1: there is none. */
+  joint: number;
+  jointFar: number;
   /** Robot that is near enough to be given something; -1: none. */
   robot: number;
+  /** Of each thing whether it is where it belongs. */
   done: boolean[];
+  /** Whether it is in something that is closed. */
+  shut: boolean[];
 }
 
-export function situation(manifest: Manifest, state: State, me: number, base: Base): Situation {
+/** What one press does: puts down, opens or closes a door or drawer, takes. */
+export type Deed = { kind: "put" } | { kind: "take"; thing: number } | { kind: "turn"; joint: number } | { kind: "none" };
+
+/** `lead`: whether the player would walk there first, in place of what is near. */
+export function deed(now: Situation, lead: boolean): Deed {
+  if (now.held >= 0) return { kind: "put" };
+  if (now.first >= 0 && (lead || !now.forGoal)) return { kind: "turn", joint: now.first };
+  const nearJoint = now.jointFar < NEAR_M;
+  if (now.next >= 0 && (lead || now.far < NEAR_M || !nearJoint)) return { kind: "take", thing: now.next };
+  return nearJoint ? { kind: "turn", joint: now.joint } : { kind: "none" };
+}
+
+export function situation(
+  manifest: Manifest, state: State, me: number, base: Base, barriers: Barriers, handles: { x: number; z: number }[],
+): Situation {
   const done = manifest.goals.map((goal, k) => {
     const thing = state.things[k]!;
     const [x, y, z] = goal.position;
@@ -39,16 +67,28 @@ export function situation(manifest: Manifest, state: State, me: number, base: Ba
       if (thing.held < 0 && !done[k] && gap < far) [next, far] = [k, gap];
     });
   }
+  const gaps = handles.map((handle) => Math.hypot(handle.x - base.x, handle.z - base.z));
+  const jointFar = Math.min(...gaps);
+  const [own, ofGoal] = barriers[next] ?? [-1, -1];
+  const first = ofGoal >= 0 ? ofGoal : own;
   const robot = manifest.agents.findIndex((agent, k) => {
     const other = state.agents[k]!;
     return k !== me && agent.kind === "robot" && Math.hypot(other.x - base.x, other.z - base.z) < 1.2;
   });
-  return { held, next, far, robot, done };
+  return { held, next, first, forGoal: ofGoal >= 0, far, joint: gaps.indexOf(jointFar), jointFar, robot, done, shut: barriers.map(([own]) => own >= 0) };
+}
+
+/** Open or close, whichever a door or drawer is not. */
+export function turnText(manifest: Manifest, state: State, joint: number): string {
+  const info = manifest.joints[joint]!;
+  return `${isOpen(info, state.joints[joint]!) ? "close" : "open"} the ${info.label}`;
 }
 
 /** Keys and what they do now. `fits`: whether what is held may be put where the preview shows it; null if nobody knows. */
-export function hints(now: Situation, manifest: Manifest, device: string, fits: boolean | null): [string, string][] {
-  const [act, go] = device === "pad" ? ["A", "X"] : device === "touch" ? ["", ""] : ["E", "F"];
+export function hints(
+  now: Situation, manifest: Manifest, state: State, device: string, fits: boolean | null,
+): [string, string][] {
+  const [act, go, turn] = device === "pad" ? ["A", "X", "LB"] : device === "touch" ? ["", "", ""] : ["E", "F", "O"];
   const name = (k: number): string => `the ${manifest.objects[k]!.label}`;
   if (now.held >= 0) {
     const goal = manifest.goals[now.held];
@@ -58,8 +98,14 @@ export function hints(now: Situation, manifest: Manifest, device: string, fits: 
     if (now.robot >= 0 && device === "keys") parts.push(["G", "give it to the robot"]);
     return parts;
   }
-  if (now.next < 0) return [];
-  return now.far < NEAR_M ? [[act, `take ${name(now.next)}`]] : [[go, `walk to ${name(now.next)} and take it`]];
+  const parts: [string, string][] = [];
+  const takes = deed(now, false).kind === "take";
+  if (takes && now.far < NEAR_M) parts.push([act, `take ${name(now.next)}`]);
+  if (now.first >= 0)
+    parts.push([go, `${turnText(manifest, state, now.first)}: ${name(now.next)} ${now.forGoal ? "goes there" : "is in it"}`]);
+  else if (now.next >= 0 && now.far >= NEAR_M) parts.push([go, `walk to ${name(now.next)} and take it`]);
+  if (now.jointFar < NEAR_M && now.joint !== now.first && turn) parts.push([turn, turnText(manifest, state, now.joint)]);
+  return parts;
 }
 
 /** Who has a thing, for the list; empty: nobody. */

@@ -2,7 +2,7 @@
 
 import { clamp } from "../motion/sdf.ts";
 
-export type Wish = "act" | "goto" | "drop" | "give" | "view" | "help" | "map" | "sound" | "cancel";
+export type Wish = "act" | "goto" | "turn" | "drop" | "give" | "view" | "help" | "map" | "sound" | "cancel";
 
 export interface Listener {
   wish(wish: Wish): void;
@@ -18,10 +18,10 @@ const WALK: Record<string, "ahead" | "back" | "left" | "right" | "slow"> = {
   ShiftLeft: "slow", ShiftRight: "slow",
 };
 const WISHES: Record<string, Wish> = {
-  KeyE: "act", Space: "act", KeyF: "goto", KeyQ: "drop", KeyG: "give", KeyV: "view", KeyH: "help", KeyM: "map",
+  KeyE: "act", Space: "act", KeyF: "goto", KeyO: "turn", KeyQ: "drop", KeyG: "give", KeyV: "view", KeyH: "help", KeyM: "map",
   KeyN: "sound", Escape: "cancel",
 };
-const PAD_WISHES: Wish[] = ["act", "drop", "goto", "view"];
+const PAD_WISHES: Wish[] = ["act", "drop", "goto", "view", "turn"];
 
 /** 2.5 m/s and 2.5 rad/s are hard to steer by keys. */
 const SLOW = 0.35;

@@ -78,6 +78,7 @@ export class Episode {
   private readonly headings: Table[];
   private readonly parts: ((row: number) => Partial<AgentState>)[];
   private readonly things: { position: Table; rotation: Table }[];
+  private readonly joints: Table | null;
   private readonly made = new Map<number, State>();
 
   constructor(
@@ -89,6 +90,7 @@ export class Episode {
     this.bases = about.stage.agents.map((_, k) => payload.table(`agent_${k}.base`));
     this.headings = about.stage.agents.map((_, k) => payload.table(`agent_${k}.heading`));
     this.parts = about.stage.agents.map((agent, k) => this.part(agent, `agent_${k}`));
+    this.joints = about.stage.joints.length ? payload.table("joints") : null;
     this.things = about.stage.objects.map((thing) => this.poses(thing.track));
   }
 
@@ -125,6 +127,7 @@ export class Episode {
       clockMs: this.times[row]! * 1000,
       agents: this.parts.map((part, k) => ({ ...this.base(k, row), ...part(row) }) as AgentState),
       things: this.things.map((thing) => ({ held: -1, pose: this.pose(thing, row) })),
+      joints: this.joints ? slice(this.joints, row) : NO_JOINTS,
     };
     this.made.set(row, state);
     return state;
@@ -160,6 +163,8 @@ export class Episode {
     return pose;
   }
 }
+
+const NO_JOINTS = new Float32Array(0);
 
 function slice(table: Table, row: number): Float32Array {
   return Float32Array.from(table.values.subarray(row * table.columns, (row + 1) * table.columns));

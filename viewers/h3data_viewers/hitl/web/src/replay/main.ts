@@ -1,6 +1,7 @@
 /** A recording that plays from a file: its data are in the page, and nothing is loaded. */
 
 import { Plane, Vector3, WebGLRenderer } from "three";
+import { unpacked } from "../link/packed.ts";
 import { World } from "../scene/world.ts";
 import "../screen/base.css";
 import { make } from "../study/dom.ts";
@@ -11,7 +12,7 @@ import { Episode, type About } from "./episode.ts";
 import { Happenings } from "./happenings.ts";
 import { homeFile } from "./home.ts";
 import { agentColors, Marks } from "./marks.ts";
-import { Payload, unpacked } from "./payload.ts";
+import { Payload } from "./payload.ts";
 import "./replay.css";
 import { CUT_M, Views } from "./views.ts";
 

@@ -69,10 +69,3 @@ export class Payload<About> {
     return this.block.subarray(this.start + entry.at, this.start + entry.at + entry.bytes);
   }
 }
-
-/** Unpacks a Base64 text of zlib data. */
-export async function unpacked(text: string): Promise<Uint8Array> {
-  const packed = Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
-}

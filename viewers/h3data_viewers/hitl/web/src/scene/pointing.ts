@@ -1,10 +1,11 @@
-/** What the player points at: a thing, the floor, or a place that could carry something. */
+/** What the player points at: a thing, a door or drawer, the floor, or a place that could carry something. */
 
 import { Raycaster, Vector2, Vector3, type PerspectiveCamera } from "three";
 import type { World } from "./world.ts";
 
 export type Target =
   | { kind: "thing"; thing: number; point: Vector3 }
+  | { kind: "joint"; joint: number; point: Vector3 }
   | { kind: "floor"; point: Vector3 }
   | { kind: "top"; point: Vector3 }
   | { kind: "none" };
@@ -19,10 +20,7 @@ export class Pointing {
   private readonly at = new Vector2();
   private readonly normal = new Vector3();
 
-  constructor(
-    private readonly world: World,
-    private readonly floorY: number,
-  ) {}
+  constructor(private readonly world: World) {}
 
   /** What is at a place of the picture, -1..1 each. Things are taken before what they stand on, but not through walls. */
   target(x: number, y: number, camera: PerspectiveCamera, held: number): Target {
@@ -37,8 +35,13 @@ export class Pointing {
     if (thing >= 0) return { kind: "thing", thing, point: this.world.things[thing]!.position.clone() };
     if (!hit?.face) return { kind: "none" };
     this.normal.copy(hit.face.normal).transformDirection(hit.object.matrixWorld);
+    const joint = this.world.joints.of(hit.object);
+    // who has something in the hand may want to put it into an open drawer
+    if (joint >= 0 && (held < 0 || this.normal.y < UPRIGHT)) return { kind: "joint", joint, point: hit.point.clone() };
     if (this.normal.y < UPRIGHT) return { kind: "none" };
-    return { kind: hit.point.y - this.floorY < FLOOR_M ? "floor" : "top", point: hit.point.clone() };
+    const { x: px, y: py, z: pz } = hit.point;
+    const high = py - this.world.floor.height(px, pz) - this.world.floor.riser(px, pz);
+    return { kind: high < FLOOR_M ? "floor" : "top", point: hit.point.clone() };
   }
 }
 

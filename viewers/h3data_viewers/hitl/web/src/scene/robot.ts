@@ -20,6 +20,8 @@ export interface Link {
 }
 
 const UP = new Vector3(0, 1, 0);
+/** Of the robot. */
+const RIGHT = new Vector3(0, 0, 1);
 const ONE = new Vector3(1, 1, 1);
 
 export class RobotRig {
@@ -29,7 +31,7 @@ export class RobotRig {
   private readonly frames: Matrix4[];
   private readonly motion = new Matrix4();
   private readonly turn = new Quaternion();
-  private readonly place = new Vector3();
+  private readonly lean = new Quaternion();
 
   /** `nodes` are those of the links, in their order; a link without a mesh may have none. */
   constructor(
@@ -43,9 +45,10 @@ export class RobotRig {
     this.frames = links.map(() => new Matrix4());
   }
 
-  /** Places all links for a base on the floor and joint values between two states. */
-  pose(x: number, y: number, z: number, heading: number, from: Float32Array, to: Float32Array, share: number): void {
-    const root = this.motion.compose(this.place.set(x, y, z), this.turn.setFromAxisAngle(UP, heading), ONE);
+  /** Places all links for a base on the floor, which may pitch up, and joint values between two states. */
+  pose(at: Vector3, heading: number, pitch: number, from: Float32Array, to: Float32Array, share: number): void {
+    this.turn.setFromAxisAngle(UP, heading).multiply(this.lean.setFromAxisAngle(RIGHT, pitch));
+    const root = this.motion.compose(at, this.turn, ONE);
     const body = root.clone().multiply(this.base);
     this.links.forEach((link, k) => {
       const frame = this.frames[k]!.copy(link.parent < 0 ? body : this.frames[link.parent]!).multiply(this.origins[k]!);

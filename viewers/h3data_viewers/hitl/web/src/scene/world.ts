@@ -21,7 +21,9 @@ import {
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import type { Base } from "../motion/drive.ts";
 import type { Stage, StagedAgent } from "../link/manifest.ts";
+import { Floor } from "../motion/floor.ts";
 import { wrapAngle } from "../motion/sdf.ts";
+import { JointRig } from "./joints.ts";
 import { RobotRig } from "./robot.ts";
 import type { PersonState, RobotState, State } from "../link/wire.ts";
 
@@ -37,6 +39,8 @@ interface PersonRig {
 export class World {
   readonly scene = new Scene();
   readonly things: Object3D[];
+  readonly joints: JointRig;
+  readonly floor: Floor;
   /** What a camera may not pass, and what a click on the floor may hit. */
   readonly solid: Object3D[] = [];
   readonly floors: Object3D[] = [];
@@ -73,6 +77,7 @@ export class World {
     root: Group,
     private readonly manifest: Stage,
   ) {
+    this.floor = new Floor(manifest.heights, manifest.floor_y);
     this.scene.background = new Color(0xdfe6ec);
     this.scene.add(root, ...lights());
     for (const node of root.children) this.sort(node, node.userData.name ?? node.name);
@@ -88,6 +93,7 @@ export class World {
       if (!node) throw new Error(`The home's file has no object called ${thing.name}.`);
       return node;
     });
+    this.joints = new JointRig(manifest.joints, (name) => this.named.get(name));
     const texture = softDisc();
     this.shadows = manifest.agents.map(() => this.addShadow(texture));
     this.rigs = manifest.agents.map((agent) => (agent.kind === "robot" ? this.robotRig(agent) : personRig(root, agent)));
@@ -132,19 +138,20 @@ export class World {
 
   /** Poses everything between two states; what is absent (NaN) is hidden. `own` takes the place of the base of agent `me`, and what it holds rides along. */
   pose(a: State, b: State, share: number, me: number, own: Base | null): void {
-    const floorY = this.manifest.floor_y;
-    this.manifest.agents.forEach((_, k) => {
+    this.joints.pose(a.joints, b.joints, share);
+    this.manifest.agents.forEach((agent, k) => {
       const was = a.agents[k]!;
       const is = b.agents[k]!;
       const rig = this.rigs[k]!;
       const base = between(was, is, share);
       const shown = k === me && own ? own : base;
       if (!Number.isFinite(base.x)) return this.showAgent(k, false);
-      const floor = is.y ?? floorY;
-      this.shadows[k]!.position.set(shown.x, floor + 0.006, shown.z);
+      const { y, pitch } = this.floor.slope(shown.x, shown.z, shown.heading, agent.climbs ?? 0);
+      const floor = is.y === undefined || was.y === undefined ? y : was.y + (is.y - was.y) * share;
+      this.shadows[k]!.position.set(shown.x, floor + this.floor.riser(shown.x, shown.z) / 2 + 0.006, shown.z);
       if (rig instanceof RobotRig) {
         const joints = [(was as RobotState).joints, (is as RobotState).joints] as const;
-        rig.pose(shown.x, floor, shown.z, shown.heading, ...joints, share);
+        rig.pose(this.from.set(shown.x, floor, shown.z), shown.heading, pitch, ...joints, share);
       } else this.posePerson(rig, was as PersonState, is as PersonState, share, base, shown);
     });
     b.things.forEach((thing, k) => {
@@ -174,8 +181,8 @@ export class World {
   /** Moves a node as if the base under it were somewhere else. */
   private carry(node: Object3D, from: Base, to: Base): void {
     const turn = to.heading - from.heading;
-    node.position.sub(this.from.set(from.x, 0, from.z)).applyAxisAngle(UP, turn);
-    node.position.add(this.from.set(to.x, 0, to.z));
+    node.position.sub(this.from.set(from.x, this.floor.height(from.x, from.z), from.z)).applyAxisAngle(UP, turn);
+    node.position.add(this.from.set(to.x, this.floor.height(to.x, to.z), to.z));
     node.quaternion.premultiply(this.swing.setFromAxisAngle(UP, turn));
   }
 

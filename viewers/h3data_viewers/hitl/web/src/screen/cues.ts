@@ -1,12 +1,12 @@
 /** What is drawn over the home for the player: rings, labels, the map, the preview of a place. */
 
 import { Vector3, type PerspectiveCamera } from "three";
-import { NEAR_M, type Situation } from "../player/actions.ts";
+import { NEAR_M, turnText, type Situation } from "../player/actions.ts";
 import type { Base } from "../motion/drive.ts";
 import type { Manifest } from "../link/manifest.ts";
 import { FloorRing, Ghost, Labels, type Mark } from "./markers.ts";
 import { MiniMap } from "./minimap.ts";
-import { MARKER, thingColor } from "./palette.ts";
+import { JOINT, MARKER, thingColor } from "./palette.ts";
 import type { Sdf } from "../motion/sdf.ts";
 import type { State } from "../link/wire.ts";
 import type { World } from "../scene/world.ts";
@@ -98,6 +98,13 @@ export class Cues {
       const far = own && Math.hypot(goTo.x - own.x, goTo.z - own.z);
       marks.push({ point: goTo.clone().setY(goTo.y + OVER_M), text: "here", thing: MARKER, near: false, far });
     }
+    const joint = now.first >= 0 ? now.first : now.jointFar < NEAR_M && now.held < 0 ? now.joint : -1;
+    if (own && joint >= 0) {
+      const handle = this.world.joints.handles[joint]!;
+      const far = Math.hypot(handle.x - own.x, handle.z - own.z);
+      const text = turnText(this.manifest, state, joint);
+      marks.push({ point: handle.clone(), text, thing: MARKER, near: far < NEAR_M, far, chip: "O", tone: JOINT });
+    }
     state.things.forEach((thing, k) => {
       const goal = this.manifest.goals[k];
       if (!goal || now.done[k]) return;
@@ -115,7 +122,7 @@ export class Cues {
         const at = this.world.things[k]!.position;
         marks.push({
           point: new Vector3(at.x, at.y + OVER_M, at.z),
-          text: `${label} → ${goal.label}`,
+          text: `${label}${now.shut[k] ? " (shut in)" : ""} → ${goal.label}`,
           thing: k,
           near: now.next === k && now.far < NEAR_M,
           far: own && Math.hypot(at.x - own.x, at.z - own.z),

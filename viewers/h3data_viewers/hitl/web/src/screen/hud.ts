@@ -18,6 +18,7 @@ const KEYS: [string[], string][] = [
   [["Shift"], "slowly"],
   [["E"], "take what is near, put down what you hold"],
   [["F"], "walk to the next thing and take it, or to its place and put it there"],
+  [["O"], "open or close the nearest door or drawer"],
   [["Q"], "drop what you hold"],
   [["G"], "give it to the robot"],
   [["V"], "over the shoulder, or through your own eyes"],

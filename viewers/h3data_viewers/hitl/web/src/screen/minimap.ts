@@ -23,25 +23,33 @@ const FURNITURE: [number, number, number] = [138, 149, 160];
 
 export class MiniMap {
   private readonly brush: CanvasRenderingContext2D;
-  private readonly plan: HTMLCanvasElement;
+  private plan!: HTMLCanvasElement;
+  /** Version of the grid that `plan` shows. */
+  private shown = -1;
   private readonly scale: number;
 
   constructor(
-    canvas: HTMLCanvasElement,
+    private readonly canvas: HTMLCanvasElement,
     private readonly sdf: Sdf,
   ) {
-    const { shape, cell } = sdf.map;
     this.scale = PX_PER_M * Math.min(devicePixelRatio, 2);
-    canvas.width = Math.round(shape[0] * cell * this.scale);
-    canvas.height = Math.round(shape[1] * cell * this.scale);
-    canvas.style.setProperty("--wide", `${shape[0] * cell * PX_PER_M}px`);
     this.brush = canvas.getContext("2d")!;
-    this.plan = this.drawPlan(canvas.width, canvas.height);
     this.draw([], [], null, 0);
+  }
+
+  private layout(): void {
+    const { canvas, sdf, scale } = this;
+    const { shape, cell } = sdf.map;
+    canvas.width = Math.round(shape[0] * cell * scale);
+    canvas.height = Math.round(shape[1] * cell * scale);
+    canvas.style.setProperty("--wide", `${shape[0] * cell * PX_PER_M}px`);
+    this.plan = this.drawPlan(canvas.width, canvas.height);
+    this.shown = sdf.version;
   }
 
   draw(agents: MapAgent[], things: MapThing[], marker: { x: number; z: number } | null, yaw: number): void {
     const { brush } = this;
+    if (this.shown !== this.sdf.version) this.layout();
     brush.clearRect(0, 0, brush.canvas.width, brush.canvas.height);
     brush.drawImage(this.plan, 0, 0);
     const unit = this.scale;

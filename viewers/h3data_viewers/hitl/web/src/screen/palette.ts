@@ -5,6 +5,8 @@ export const YOU = "#0072b2";
 export const ROBOT = "#d55e00";
 export const OTHER = "#cc79a7";
 export const OK = "#009e73";
+/** Doors and drawers. */
+export const JOINT = "#e8edf2";
 export const BAD = "#d55e00";
 
 /** The place that the app marks has the number -1. */

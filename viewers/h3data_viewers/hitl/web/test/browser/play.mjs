@@ -234,6 +234,95 @@ async function tutorial() {
   return { texts, refused, over: await player.over, ...(await player.close()) };
 }
 
-const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial };
+/** Looks at a world point, an expression, and gives the pixel at which it is. */
+async function lookAt(player, point) {
+  await player.ask(`(() => {
+    const { camera, shown } = probe.game;
+    const at = ${point};
+    const wanted = Math.atan2(shown.z - at.z, at.x - shown.x) - shown.heading - camera.yaw;
+    camera.look(wanted - 2 * Math.PI * Math.round(wanted / (2 * Math.PI)), -0.45 - camera.pitch);
+  })()`);
+  await player.nap(1500);
+  return player.ask(`(() => {
+    const at = ${point}.clone().project(probe.game.camera.camera);
+    return [((at.x + 1) / 2) * innerWidth, ((1 - at.y) / 2) * innerHeight];
+  })()`);
+}
+
+/** A click on the drawer that shuts in a thing opens it, a click on the thing takes it out; a third, on the drawer, may not. */
+async function drawer() {
+  const player = await openPage(url);
+  await player.started();
+  await player.until("probe.game.barriers.some(([own]) => own >= 0)", "word of what is shut in");
+  const thing = await player.ask("probe.game.barriers.findIndex(([own]) => own >= 0)");
+  const joint = await player.ask(`probe.game.barriers[${thing}][0]`);
+  const handle = `probe.game.world.joints.handles[${joint}]`;
+  const state = "probe.game.net.latest";
+  // some steps before it, where it is in the picture
+  await player.ask(`probe.game.net.send({ k: "goto", p: ((at, axis, sign) => at.clone().addScaledVector({ x: axis[0], y: 0, z: axis[2] }, sign * 1.3).setY(0).toArray())(
+    ${handle}, probe.game.manifest.joints[${joint}].axis, Math.sign(probe.game.manifest.joints[${joint}].opened)) }); 0`);
+  await player.idle();
+  const front = await lookAt(player, handle);
+  await player.shot(picture("before"));
+  const todo = await player.ask("document.getElementById('todo').innerText");
+  const lying = () => player.ask(`[...${state}.things[${thing}].pose.slice(0, 3)]`);
+  const [shut, was] = [await player.ask(`${state}.joints[${joint}]`), await lying()];
+  await player.page.mouse.click(...front);
+  await player.until(`Math.abs(${state}.joints[${joint}] - ${shut}) > 0.15`, "the drawer to move", 60_000);
+  await player.shot(picture("during"));
+  await player.idle();
+  const [open, is] = [await player.ask(`${state}.joints[${joint}]`), await lying()];
+  const place = `probe.game.world.things[${thing}].position`;
+  const inside = await lookAt(player, place);
+  await player.shot(picture("open"));
+  await player.page.mouse.click(...inside);
+  await player.idle();
+  const held = await player.ask(`${state}.things[${thing}].held === probe.game.manifest.me`);
+  await player.press("o");
+  await player.until("document.getElementById('toast').innerText", "a reason why a full hand closes nothing");
+  const reason = await player.ask("document.getElementById('toast').innerText");
+  await player.shot(picture("taken"));
+  await player.ask("probe.drop(); 0");
+  await player.until("probe.game.net.connects === 2 && document.body.dataset.state === 'playing'", "the connection to be back", 20_000);
+  await player.nap(500);
+  const still = await player.ask(`${state}.joints[${joint}]`);
+  const moved = Math.hypot(...is.map((value, k) => value - was[k]));
+  return { todo, shut, open, moved, held, reason, still, ...(await player.close()) };
+}
+
+/** To the foot of the stairs by a click, up by keys, and on to a room by a click. */
+async function stairs() {
+  const player = await openPage(url);
+  await player.started();
+  const [x0, z0, x1, z1, low, high, axis, start, end] = await player.ask("probe.game.manifest.heights.find((row) => row[9])");
+  const along = (share) => start + share * (end - start);
+  const at = (share) => (axis ? [(x0 + x1) / 2, low, along(share)] : [along(share), low, (z0 + z1) / 2]);
+  const far = Math.abs(end - start);
+  const height = () => player.ask("probe.game.camera.floorY");
+  const heights = [];
+  for (const share of [-0.4 / far, 0.05]) {
+    await player.ask(`probe.game.net.send({ k: "goto", p: ${JSON.stringify(at(share))} }); 0`);
+    await player.idle();
+  }
+  heights.push(await height());
+  await player.nap(600);
+  await player.shot(picture("foot"));
+  // by keys, so that the page predicts: it looks up the stairs, and the body turns there
+  const up = Math.atan2(-(at(1)[2] - at(0)[2]), at(1)[0] - at(0)[0]);
+  const look = `(() => { const { camera, shown } = probe.game; camera.yaw = Math.atan2(Math.sin(${up} - shown.heading), Math.cos(${up} - shown.heading)); })()`;
+  await player.ask(look);
+  for (let k = 0; k < 20 && (await height()) < low + 0.5 * (high - low); k++) await player.press("w", 250);
+  heights.push(await height());
+  await player.nap(600);
+  await player.shot(picture("middle"));
+  for (let k = 0; k < 20 && (await height()) < high - 0.01; k++) await player.press("w", 250);
+  await player.nap(600);
+  heights.push(await height());
+  await player.shot(picture("top"));
+  const body = await player.ask("(() => { const me = probe.game.net.latest.agents[probe.game.manifest.me]; return me.root[1]; })()");
+  return { heights, low, high, body, ...(await player.close()) };
+}
+
+const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial, drawer, stairs };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));

@@ -1,0 +1,60 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import type { Manifest } from "../src/link/manifest.ts";
+import type { State } from "../src/link/wire.ts";
+import { deed, hints, situation, turnText, type Barriers, type Situation } from "../src/player/actions.ts";
+
+const DOOR = { name: "fridge/door", label: "fridge door", parent: -1, kind: 1, rest: 0, closed: 0, opened: 1.5, nodes: [] };
+const MANIFEST = {
+  me: 0,
+  agents: [{ kind: "human" }],
+  objects: [{ label: "mug" }, { label: "pan" }],
+  goals: [{ position: [9, 1, 9], label: "shelf" }, { position: [9, 1, 8], label: "desk" }],
+  joints: [DOOR, { ...DOOR, name: "counter/drawer", label: "counter drawer" }],
+} as unknown as Manifest;
+const NONE: Barriers = [[-1, -1], [-1, -1]];
+const HANDLES = [{ x: 0.5, z: 0 }, { x: 5, z: 0 }];
+
+/** The player at x = 0; the mug and the pan at the x given, in the hand of an agent. */
+function at(mug: number, pan: number, barriers: Barriers, held = -1, joints = [0, 0], handles = HANDLES): [Situation, State] {
+  const things = [mug, pan].map((x, k) => ({ held: k ? -1 : held, pose: Float32Array.of(x, 1, 0, 0, 0, 0, 1) }));
+  const state = { things, agents: [{ x: 0, z: 0, heading: 0 }], joints: Float32Array.from(joints) } as unknown as State;
+  return [situation(MANIFEST, state, 0, { x: 0, z: 0, heading: 0 }, barriers, handles), state];
+}
+
+test("where nothing opens, one press takes", () => {
+  const [now] = at(3, 4, [], -1, [], []);
+  assert.deepEqual([deed(now, false), deed(now, true)], [{ kind: "take", thing: 0 }, { kind: "take", thing: 0 }]);
+  assert.equal(now.joint, -1);
+});
+
+test("what is shut in is not taken before it is open", () => {
+  const [now, state] = at(3, 4, [[1, -1], [-1, -1]]);
+  for (const lead of [false, true]) assert.deepEqual(deed(now, lead), { kind: "turn", joint: 1 });
+  assert.deepEqual(hints(now, MANIFEST, state, "keys", null)[0], ["F", "open the counter drawer: the mug is in it"]);
+  const [open] = at(3, 4, NONE, -1, [0, 1.5]);
+  assert.deepEqual(deed(open, true), { kind: "take", thing: 0 });
+});
+
+test("a place that is shut is opened before its thing is fetched, but what is near may be taken", () => {
+  const [now, state] = at(0.6, 4, [[-1, 1], [-1, -1]]);
+  assert.deepEqual(deed(now, true), { kind: "turn", joint: 1 });
+  assert.deepEqual(deed(now, false), { kind: "take", thing: 0 });
+  const said = hints(now, MANIFEST, state, "keys", null).slice(0, 2);
+  assert.deepEqual(said, [["E", "take the mug"], ["F", "open the counter drawer: the mug goes there"]]);
+});
+
+test("with nothing to take nearby, the door that is near is opened or closed", () => {
+  const [now, state] = at(3, 4, NONE);
+  assert.deepEqual(deed(now, false), { kind: "turn", joint: 0 });
+  assert.deepEqual(deed(now, true), { kind: "take", thing: 0 });
+  assert.deepEqual(hints(now, MANIFEST, state, "pad", null).at(-1), ["LB", "open the fridge door"]);
+  const [, open] = at(3, 4, NONE, -1, [1.5, 0]);
+  assert.equal(turnText(MANIFEST, open, 0), "close the fridge door");
+});
+
+test("who holds something puts it down: doors take an empty hand", () => {
+  const [now, state] = at(3, 4, [[-1, 0], [-1, -1]], 0);
+  for (const lead of [false, true]) assert.equal(deed(now, lead).kind, "put");
+  assert.ok(!JSON.stringify(hints(now, MANIFEST, state, "keys", null)).includes("fridge"));
+});
