@@ -114,7 +114,7 @@ def _light_new(heap: Heap, faces: NDArray[np.int64], light_at: LightAt) -> None:
     offset = (corners.mean(1)[:, None] - corners).reshape(-1, 3)
     sums = [np.bincount(faces.ravel(), offset[:, a], len(heap.vertices)) for a in range(3)]
     inward = np.column_stack(sums).astype(np.float64)
-    index = np.unique(faces)
+    index = np.flatnonzero(np.bincount(faces.ravel(), minlength=1))
     heap.light[index] = light_at(heap.world[index, :3], heap.world[index, 3:], _direction(inward[index]))
 
 
@@ -217,8 +217,9 @@ def _smooth(heap: Heap) -> None:
     under = np.isnan(light[:, 0]) & upward
     weight = np.tile(np.exp(-((length / _SMOOTH_M) ** 2)), 2)
     weight[under[a] | under[b]] = 0
+    dark = np.flatnonzero(np.isnan(light[a, 0]))
     for ring in range(24):
-        useful = np.flatnonzero(np.isnan(light[a, 0]) & ~np.isnan(light[b, 0]))
+        useful = dark[np.isnan(light[a[dark], 0]) & ~np.isnan(light[b[dark], 0])]
         if not len(useful):
             break
         number = np.bincount(a[useful], minlength=count)
