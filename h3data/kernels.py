@@ -102,8 +102,12 @@ class _PartLibrary(JITCodeLibrary):
     and compile it to machine code that nobody runs: a third of the time (21 of 36 s for the gait of people in all)."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
+        try:
+            passes, builder = self._codegen._function_pass_manager()
+        except TypeError:  # numba 0.61
+            super()._optimize_functions(ll_module)
+            return
         ll_module.data_layout = self._codegen._data_layout
-        passes, builder = self._codegen._function_pass_manager()
         for function in ll_module.functions:
             if not function.is_declaration:
                 passes.run(function, builder)
@@ -130,7 +134,8 @@ class _PartLowering(NativeLowering):
         made, name = state["cr"], state.func_id.func_name
         entry = _dynfunc.make_function(made.fndesc.lookup_module(), name, "", 0, made.env, (library,))
         state.targetctx.insert_user_function(entry, made.fndesc, [library])  # by which callers find the library
-        state.reload_init.extend(library._reload_init)
+        if reloaded := getattr(library, "_reload_init", ()):  # since numba 0.62
+            state.reload_init.extend(reloaded)
         state["cr"] = made._replace(cfunc=entry)
         return True
 
