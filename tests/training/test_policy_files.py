@@ -177,7 +177,10 @@ def saved(tmp_path: Path, *, drop: str = "", text: str | None = None, **arrays: 
         ({"act_1.bias": np.zeros(3, np.float32)}, r"act_1.bias has the shape \[3\], expected \[2\]"),
         ({"act_1.bias": np.zeros(2)}, "act_1.bias is float64, expected float32"),
         ({"more": np.zeros(2, np.float32)}, "unknown array more"),
-        ({"act_1.bias.planes": np.zeros((3, 2), np.uint8)}, r"planes of bytes are uint8 \[4, ...\], got uint8 \[3, 2\]"),
+        (
+            {"act_1.bias.planes": np.zeros((3, 2), np.uint8)},
+            r"planes of bytes are uint8 \[4, ...\], got uint8 \[3, 2\]",
+        ),
         ({"act_1.bias.planes": np.zeros((4, 2), np.float32)}, "planes of bytes are uint8"),
         ({"act_1.bias.planes": np.array(0, np.uint8)}, r"got uint8 \[\]"),
         ({"act_1.bias.planes": np.full((4, 2), 255, np.uint8)}, "act_1.bias holds numbers that are not finite"),

@@ -35,7 +35,7 @@ def send(player: Player, rtt: float, **message: Any) -> None:
 def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording]:
     """Ten steps without input, ten walking, ten away, a pick."""
     folder = tmp_path_factory.mktemp("live")
-    player = Player(table(folder).begin(FIRST))
+    player = Player(table(folder, rules={"max_steps": 60}).begin(FIRST))
     player.play(10)
     send(player, 12.5, k="move", f=0.5, t=0.0)
     player.play(10)
