@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from bake import packed_policy
 
+from bake import packed_policy
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data_pipelines.cli import main
