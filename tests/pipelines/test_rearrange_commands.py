@@ -31,17 +31,16 @@ def run_json(capsys: pytest.CaptureFixture[str], *args: object, code: int = 0) -
 
 
 def test_generate_resumes_with_the_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ("--partner", "plan_pop_2", "--max-steps", "200", "--episodes")
-    whole = run_json(capsys, *GENERATE, tmp_path / "a", *options, "2")
+    whole = run_json(capsys, *GENERATE, tmp_path / "a", "--episodes", "2", "--partner", "plan_pop_2")
     assert set(whole["metrics"]["summary"]) == {"SR", "RE", "CR", "RC", "TS"}
-    run_json(capsys, *GENERATE, tmp_path / "b", *options, "1")
-    rest = run_json(capsys, *GENERATE, tmp_path / "b", *options, "2", "--resume")
+    run_json(capsys, *GENERATE, tmp_path / "b", "--episodes", "1", "--partner", "plan_pop_2")
+    rest = run_json(capsys, *GENERATE, tmp_path / "b", "--episodes", "2", "--partner", "plan_pop_2", "--resume")
     assert rest["new"] == 1
     assert rest["state_hashes"] == whole["state_hashes"]
     a, b = (h3data.open(tmp_path / name).recording(1) for name in "ab")
     assert recordings_equal(a, b) == []
     assert a.episode.info["partner_plan"] in ("object_1", "object_2")
-    other = run_json(capsys, *GENERATE, tmp_path / "b", *options, "2", "--partner", "both", "--resume", code=2)
+    other = run_json(capsys, *GENERATE, tmp_path / "b", "--episodes", "2", "--partner", "both", "--resume", code=2)
     assert "partner was plan_pop_2, is both" in other["error"]
 
 

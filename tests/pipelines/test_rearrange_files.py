@@ -44,15 +44,14 @@ def written(file: Path, episodes: list[Any]) -> Path:
 # --- ours -------------------------------------------------------------------------------------------------------------
 def test_saved_episodes_are_played_again_bit_for_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "eps.json.gz"
-    short = ("--max-steps", 150)
-    options = ("--scenes", "h3-homes/test", "--episodes", 2, *short, "--save-episodes", file)
+    options = ("--scenes", "h3-homes/test", "--episodes", 2, "--save-episodes", file)
     planned = run_json(capsys, "generate", "rearrange", *options, "--dry-run", "-o", tmp_path / "no")
     assert planned["plan"]["saved_episodes"] == str(file)
     assert not (tmp_path / "no").exists()
     first = file.read_bytes()
     run_json(capsys, "generate", "rearrange", *options, "--force", "-o", tmp_path / "a")
     assert file.read_bytes() == first
-    again = run_json(capsys, "generate", "rearrange", "--episodes-file", file, *short, "-o", tmp_path / "b")
+    again = run_json(capsys, "generate", "rearrange", "--episodes-file", file, "-o", tmp_path / "b")
     assert (again["episodes"], again["left_out"], again["warnings"]) == (2, [], [])
     for k in range(2):
         a, b = (h3data.open(tmp_path / name).recording(k) for name in "ab")
@@ -62,9 +61,7 @@ def test_saved_episodes_are_played_again_bit_for_bit(tmp_path: Path, capsys: pyt
             recording.episode.info.pop("job")
         assert recordings_equal(a, b) == []
         assert a.episode.uid == b.episode.uid
-    resumed = run_json(
-        capsys, "generate", "rearrange", "--episodes-file", file, *short, "--resume", "-o", tmp_path / "b"
-    )
+    resumed = run_json(capsys, "generate", "rearrange", "--episodes-file", file, "--resume", "-o", tmp_path / "b")
     assert resumed["new"] == 0
 
 
