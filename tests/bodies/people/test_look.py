@@ -32,7 +32,9 @@ MOVES = (
 MOVES_DIGEST = "b8169aed82264ae9"
 
 
-@pytest.mark.parametrize("outfit", OUTFITS)
+@pytest.mark.parametrize(
+    "outfit", [pytest.param(n, marks=() if n in ("casual", "dress") else pytest.mark.slow) for n in OUTFITS]
+)
 def test_every_outfit_fits_everybody(outfit: str) -> None:
     for name in humanoid_names():
         body = load_humanoid(f"{name}:{outfit}")
