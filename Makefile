@@ -6,6 +6,9 @@ STAMP := $(VENV)/.installed
 GROUP ?=
 # a test that hangs fails after a quarter of an hour, and says where
 PYTEST := $(BIN)/python -m pytest --timeout 900
+# worksteal: the tests of a file stay in one process, with its homes and recordings, and nobody waits at the end; one thread
+# each for sums in numpy and torch, because threads of two processes on two cores wait for each other
+PYTEST_2 := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTEST) -n 2 --dist worksteal
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -21,12 +24,11 @@ $(STAMP): pyproject.toml constraints.txt
 demo: setup  ## simulate, record, render again, measure: out/demo/
 	$(BIN)/h3data demo -o out/demo --force
 
-# worksteal: the tests of a file stay in one process, with its homes and recordings, and nobody waits at the end
 test: setup
-	$(PYTEST) -n 2 --dist worksteal
+	$(PYTEST_2)
 
 test-all: setup  ## the slow ones too
-	$(PYTEST) -n 2 --dist worksteal -m "not gpu and not bench"
+	$(PYTEST_2) -m "not gpu and not bench"
 
 test-browser: setup  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
 	$(PYTEST) -m browser -rs
@@ -55,7 +57,7 @@ docs: setup  ## the documentation site, offline, into build/docs
 
 check-docs: setup  ## README, docs and notebooks run as written, on small data (5 minutes)
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
-	$(PYTEST) -n 2 -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
+	$(PYTEST_2) -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
 
 LEROBOT := .venv-lerobot
 LEROBOT_CHECK := $(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py

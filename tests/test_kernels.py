@@ -9,7 +9,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.runtime import _nrt_python, rtsys
 
 from h3data import kernels
 from tests.paths import ROOT
@@ -119,6 +121,36 @@ def test_a_part_of_a_kernel_refuses_to_be_called_from_python():
     assert whole(1) == 3
     with pytest.raises(TypeError, match="part is part of a kernel and has no entry point for Python"):
         part(1)
+
+
+def test_a_part_has_no_machine_code_and_is_compiled_once_for_all_constants():
+    @kernels.kernel_part()
+    def scaled_part(x, factor):
+        if factor < 0:
+            raise ValueError("a negative factor")
+        return np.full(3, x * factor)
+
+    @kernels.kernel_part()
+    def sum_part(x, factor):
+        return scaled_part(x, factor).sum() + scaled_part(x, 2)[0]
+
+    @kernels.kernel()
+    def summed(x, factor):
+        return sum_part(x, factor) + scaled_part(x, 3)[0]
+
+    _nrt_python.memsys_enable_stats()
+    before = rtsys.get_allocation_stats()
+    assert summed(2.0, 5) == 30 + 4 + 6
+    with pytest.raises(ValueError, match="a negative factor"):
+        summed(2.0, -1)
+    after = rtsys.get_allocation_stats()
+    _nrt_python.memsys_disable_stats()
+    assert after.alloc - before.alloc == after.free - before.free > 0, "what a part allocates is freed"
+    for part in (scaled_part, sum_part):
+        (made,) = part.overloads.values()
+        assert not made.library._codegen._engine.is_symbol_defined(made.fndesc.llvm_func_name)
+    (whole,) = summed.overloads.values()
+    assert whole.library._codegen._engine.is_symbol_defined(whole.fndesc.llvm_func_name)
 
 
 def test_garbage_is_collected_again_after_compiling():

@@ -23,6 +23,8 @@ from h3data.files import part_file
 
 FILE_FORMAT = "h3data.network/1"
 HINT = "Hint: sim_kinematic.policies.network.save_network writes one."
+PLANES = ".planes"
+"""Ends the name of a float32 array that is kept as planes of its bytes (`to_planes`)."""
 MAX_BYTES = 256 << 20
 """Files whose arrays take more than this are refused."""
 Activation = Literal["tanh", "relu"]
@@ -225,6 +227,7 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
             data = {name: file[name] for name in file.files}
         if not all(isinstance(array, np.ndarray) for array in data.values()):
             raise ValueError("it holds files that are no arrays")
+        data = {n.removesuffix(PLANES): from_planes(a) if n.endswith(PLANES) else a for n, a in data.items()}
     except (FileNotFoundError, IsADirectoryError):
         raise InputError(f"Expected a file of weights, found none. {HINT} File: {path}") from None
     except _DAMAGE as fault:
@@ -232,6 +235,24 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
             f"Expected a file of weights ({FILE_FORMAT}), this is none ({fault}). {HINT} File: {path}"
         ) from None
     return _word(data.get("format", np.array("another npz file"))), data
+
+
+def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """The bytes of an array [...] as planes, uint8 [4, ...]: the first bytes of all numbers, then the second ones, ... They
+    compress better, by a fifth where the last bits are 0."""
+    planes = np.moveaxis(np.ascontiguousarray(array, "<f4")[..., None].view(np.uint8), -1, 0)
+    return np.ascontiguousarray(planes)
+
+
+def from_planes(planes: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """The reverse of `to_planes`.
+
+    Raises:
+        ValueError: they are no planes.
+    """
+    if planes.dtype != np.uint8 or planes.shape[:1] != (4,):
+        raise ValueError(f"planes of bytes are uint8 [4, ...], got {planes.dtype} {list(planes.shape)}")
+    return np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view("<f4")[..., 0].astype(np.float32, copy=False)
 
 
 def _word(array: NDArray[Any]) -> str:

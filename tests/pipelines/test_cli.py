@@ -39,7 +39,7 @@ def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> Any:
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short demo, run once."""
     out = tmp_path_factory.mktemp("demo") / "out"
-    assert main(["demo", "-o", str(out), "--steps", "40"]) == 0
+    assert main(["demo", "-o", str(out), "--steps", "40", "--size", "720x404"]) == 0
     return out
 
 
@@ -72,7 +72,7 @@ def test_demo_makes_everything(demo: Path) -> None:
 def test_demo_videos_play(demo: Path) -> None:
     import av
 
-    for name, size in (("third_person", (640, 480)), ("arm_depth", (224, 171))):
+    for name, size in (("third_person", (720, 404)), ("arm_depth", (224, 171))):
         with av.open(str(demo / f"{name}.mp4")) as container:
             stream = container.streams.video[0]
             assert stream.codec_context.name == "h264"

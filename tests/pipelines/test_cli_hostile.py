@@ -176,6 +176,7 @@ def die_at_the_second(job: episode_jobs.Job, filming: episode_jobs.Filming) -> e
     return FILM(job, filming)
 
 
+@pytest.mark.slow
 def test_an_episode_that_kills_its_worker_has_failed_and_the_others_are_played(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

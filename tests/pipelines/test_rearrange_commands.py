@@ -30,6 +30,7 @@ def run_json(capsys: pytest.CaptureFixture[str], *args: object, code: int = 0) -
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_generate_resumes_with_the_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = run_json(capsys, *GENERATE, tmp_path / "a", "--episodes", "2", "--partner", "plan_pop_2")
     assert set(whole["metrics"]["summary"]) == {"SR", "RE", "CR", "RC", "TS"}
@@ -193,6 +194,7 @@ def test_kept_recordings_and_bare_results_give_the_same_heat_maps(
     assert "Did you mean 'object_1'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_datasets_of_one_policy_are_one_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     common = ("generate", "rearrange", "--scenes", "h3-homes/test#2", "--episodes", "1", "--policy", "still", "--json")
     for partner in ("object_1", "object_2"):

@@ -42,6 +42,7 @@ def written(file: Path, episodes: list[Any]) -> Path:
 
 
 # --- ours -------------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_saved_episodes_are_played_again_bit_for_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "eps.json.gz"
     options = ("--scenes", "h3-homes/test", "--episodes", 2, "--save-episodes", file)

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import torch
 
+from bake import packed_policy
+from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data_pipelines.cli import main
 from h3data_training.episodes import make_bank, rules
@@ -175,11 +177,46 @@ def saved(tmp_path: Path, *, drop: str = "", text: str | None = None, **arrays: 
         ({"act_1.bias": np.zeros(3, np.float32)}, r"act_1.bias has the shape \[3\], expected \[2\]"),
         ({"act_1.bias": np.zeros(2)}, "act_1.bias is float64, expected float32"),
         ({"more": np.zeros(2, np.float32)}, "unknown array more"),
+        (
+            {"act_1.bias.planes": np.zeros((3, 2), np.uint8)},
+            r"planes of bytes are uint8 \[4, ...\], got uint8 \[3, 2\]",
+        ),
+        ({"act_1.bias.planes": np.zeros((4, 2), np.float32)}, "planes of bytes are uint8"),
+        ({"act_1.bias.planes": np.array(0, np.uint8)}, r"got uint8 \[\]"),
+        ({"act_1.bias.planes": np.full((4, 2), 255, np.uint8)}, "act_1.bias holds numbers that are not finite"),
     ],
 )
 def test_damaged_policies_are_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     with pytest.raises(FormatError, match=message):
         network_of(f"weights:{saved(tmp_path, **change)}")
+
+
+def test_a_packed_policy_is_the_same_one(file: Path, tmp_path: Path) -> None:
+    packed, rounded = tmp_path / "packed.npz", tmp_path / "rounded.npz"
+    packed_policy.main(file, packed, rounding=False)
+    packed_policy.main(file, rounded, rounding=True)
+    before, after, near = (network_of(f"weights:{path}") for path in (file, packed, rounded))
+    assert before.digest == after.digest != near.digest
+    for name, array in before.arrays.items():
+        assert after.arrays[name].tobytes() == array.tobytes()
+        np.testing.assert_allclose(near.arrays[name], array, rtol=2**-11)
+        assert not (near.arrays[name].view(np.uint32) & 0x1FFF).any()
+    with np.load(packed) as members:
+        assert all(members[f"{name}.planes"].shape == (4, *array.shape) for name, array in before.arrays.items())
+
+
+@pytest.mark.parametrize(
+    ("policy", "digest"),
+    [
+        ("end_to_end", "5c2e8ce5b0473849"),
+        ("learn_single", "ec779074349c3ed1"),
+        ("plan_pop_3_robot", "6fc1c62be73f4cf0"),
+        ("learn_pop", "59753a245087fccb"),
+    ],
+)
+def test_the_policies_of_the_package_are_those_that_were_measured(policy: str, digest: str) -> None:
+    """Docs show their scores."""
+    assert network_of(f"weights:{builtin_path(f'policies/{policy}.npz')}").digest.startswith(digest)
 
 
 def test_other_sizes_and_truncated_files_are_refused(file: Path) -> None:

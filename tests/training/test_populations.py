@@ -259,7 +259,8 @@ def fabricated(rng: np.random.Generator, *, wanted: int, network: ChooserNetwork
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [ROBOT, "partner_0"])
+@pytest.mark.parametrize("name", [ROBOT, pytest.param("partner_0", marks=pytest.mark.slow)])
+@pytest.mark.usefixtures("one_torch_thread")
 def test_it_learns_what_pays(name: str) -> None:
     rng, settings = np.random.default_rng(3), replace(SMALL, hidden=16, width=16, epochs=4)
     learner = ChooserLearner(settings, name, seed=0)

@@ -126,7 +126,8 @@ def draw_clusters(geometry, cut_first, view, target, order):
                 nearest = camera_corners(soup[p, :, lane], target.camera_from_mesh[instance], corners)
                 is_near = nearest < NEAR_M * 1.001 and not view.parallel
                 if is_near or not lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
-                    fill_large(corners, view, is_near, boxes[:, lane], inv_z_at, words_at, stride, word + lane)
+                    column = boxes[:, lane]
+                    fill_large(corners, view, is_near, column, inv_z_at, words_at, stride, np.int32(word + lane))
             packet_at += np.uintp(PACKET_BYTES)
             word += np.int32(8)
         for ty in range(tile_y0, tile_y1 + 1):
@@ -146,7 +147,8 @@ def draw_cut(geometry, cut_first, view, target, order):
     stride = target.inv_z.shape[1]
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
     shared_count = len(geometry.shared_packets)
-    pieces, no_box = np.empty((2, 9)), np.zeros(SETUP_ROWS, np.int32)
+    pieces = np.empty((2, 9))
+    no_box = np.zeros((SETUP_ROWS, 8), np.int32)[:, 0]  # a column too, so that `fill_large` is compiled once
     for draw in order:
         instance, cluster = target.draws[draw, INSTANCE], target.draws[draw, CLUSTER]
         if target.near[draw] > np.float32(view.near) or (len(cut_first) and cut_first[cluster] >= 0):

@@ -1,16 +1,18 @@
 """Light that capsules take from 8 pixels at a time, as numba intrinsics; `blockers` says what is computed and why.
 
-There is no fused arithmetic here, so that NumPy in float32 gives the same numbers, bit for bit.
+There is no fused arithmetic here, so that NumPy in float32 gives the same numbers, bit for bit. What takes nothing from any
+of the 8 is left out early, before roots and divisions, which changes no number: it would multiply by 1.
 """
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 
-from h3data.render.raster.vectors import FLOAT, FLOAT8, INT8, LANES, Vec, intrinsic, lanes, load, splat, store
+from h3data.render.raster.vectors import FLOAT, FLOAT8, INT, INT8, LANES, Vec, intrinsic, lanes, load, splat, store
 
 # Float32 words of a capsule: one end, the vector to the other end, direction to the light, 1 / length^2, (vector . light),
 # 1 / squared length across the light, radius and its square, half the length across the light, distance that shadows reach,
@@ -29,6 +31,8 @@ DARKEST = 0.22
 """Share of its light that a surface keeps when all of it is blocked; see `h3data.render.light.bake`."""
 _THINNEST_M = 0.01
 """Smallest radius of the light's disc at a capsule."""
+_ROUNDED_UP = 1.0001
+"""Two discs whose squared distance is larger than that at which they touch by this factor do not, however it is rounded."""
 
 # Float32 words of the rays of a block: origin and direction, each the value at its first pixel and the increment per pixel.
 ORIGIN, DIRECTION = 0, 6
@@ -66,6 +70,12 @@ def _constant(b: Any, value: float) -> Vec:
 
 def _select(b: Any, mask: Any, yes: Vec, no: Vec) -> Vec:
     return Vec(b, b.select(mask.value, yes.value, no.value))
+
+
+def _any_positive(b: Any, *values: Vec) -> Any:
+    """Whether all ``values`` are above 0 in one of the lanes at least, as a condition for ``if_then``."""
+    least = functools.reduce(Vec.minimum, values)
+    return b.icmp_unsigned("!=", least.compare(">", 0.0).bits(0), ir.Constant(INT, 0))
 
 
 def _normal(b: Any, strip_at: Any, row_bytes: Any) -> Triple:
@@ -127,14 +137,16 @@ def block_all_light(typing_context, blocker_at, strip_at, row_bytes, owners_at, 
         s = (_dot(from_start, along) * _word(b, blocker_at, PER_LENGTH2)).maximum(0.0).minimum(1.0)
         x, y, z = (along[a] * s - from_start[a] for a in range(3))
         distance2 = _dot((x, y, z), (x, y, z)).maximum(radius2)
-        per_distance, one = distance2.unary("sqrt").reciprocal(), _constant(b, 1.0)
-        radius, length = _word(b, blocker_at, RADIUS), _word(b, blocker_at, LENGTH)
-        before, after = length * s + radius, length * (-(s - 1.0)) + radius
-        covered = ((before * per_distance).minimum(1.0) + (after * per_distance).minimum(1.0)) * 0.5
         window = (-(distance2 * distance2 * _word(b, blocker_at, PER_RANGE4) - 1.0)).maximum(0.0)
-        facing = _dot(normal, (x, y, z)).maximum(0.0) * per_distance
-        hidden = (facing * (radius * per_distance) * covered * window * window).minimum(one)
-        _take(b, hidden, blocker_at, owners_at, scratch_at, AMBIENT)
+        towards = _dot(normal, (x, y, z)).maximum(0.0)
+        with b.if_then(_any_positive(b, window, towards)):
+            per_distance, one = distance2.unary("sqrt").reciprocal(), _constant(b, 1.0)
+            radius, length = _word(b, blocker_at, RADIUS), _word(b, blocker_at, LENGTH)
+            before, after = length * s + radius, length * (-(s - 1.0)) + radius
+            covered = ((before * per_distance).minimum(1.0) + (after * per_distance).minimum(1.0)) * 0.5
+            facing = towards * per_distance
+            hidden = (facing * (radius * per_distance) * covered * window * window).minimum(one)
+            _take(b, hidden, blocker_at, owners_at, scratch_at, AMBIENT)
         return context.get_dummy_value()
 
     return types.void(_p, _p, _p, _p, _p), codegen
@@ -153,16 +165,19 @@ def block_one_direction(typing_context, blocker_at, owners_at, scratch_at):
         s = ((beside - ahead * to_light) * _word(b, blocker_at, PER_ACROSS2)).maximum(0.0).minimum(1.0)
         x, y, z = (along[a] * s - from_start[a] for a in range(3))
         away = s * to_light - ahead
-        off = (_dot((x, y, z), (x, y, z)) - away * away).maximum(0.0).unary("sqrt")
+        off2 = (_dot((x, y, z), (x, y, z)) - away * away).maximum(0.0)
         disc = (away * SPREAD).maximum(_THINNEST_M)
-        per_radius, per_disc = _word(b, blocker_at, PER_RADIUS), disc.reciprocal()
-        step = ((disc + radius - off) * (per_disc.maximum(per_radius) * 0.5)).maximum(0.0).minimum(1.0)
-        overlap = step * step * (-(step * 2.0 - 3.0))
-        wide = (_word(b, blocker_at, WIDTH) * per_disc).minimum(1.0)
-        most = (radius * per_disc * wide).minimum(1.0)
-        onset = (away * (per_radius * 2.0)).maximum(0.0).minimum(1.0)
-        fade = ((_word(b, blocker_at, REACH) + (KEPT_M + FADE_M) - away) * (1 / FADE_M)).maximum(0.0).minimum(1.0)
-        _take(b, most * overlap * onset * fade, blocker_at, owners_at, scratch_at, DIRECTED)
+        touching, left = disc + radius, _word(b, blocker_at, REACH) + (KEPT_M + FADE_M) - away
+        close = touching * touching * _ROUNDED_UP - off2
+        with b.if_then(_any_positive(b, away, left, close)):
+            off, per_radius, per_disc = off2.unary("sqrt"), _word(b, blocker_at, PER_RADIUS), disc.reciprocal()
+            step = ((touching - off) * (per_disc.maximum(per_radius) * 0.5)).maximum(0.0).minimum(1.0)
+            overlap = step * step * (-(step * 2.0 - 3.0))
+            wide = (_word(b, blocker_at, WIDTH) * per_disc).minimum(1.0)
+            most = (radius * per_disc * wide).minimum(1.0)
+            onset = (away * (per_radius * 2.0)).maximum(0.0).minimum(1.0)
+            fade = (left * (1 / FADE_M)).maximum(0.0).minimum(1.0)
+            _take(b, most * overlap * onset * fade, blocker_at, owners_at, scratch_at, DIRECTED)
         return context.get_dummy_value()
 
     return types.void(_p, _p, _p), codegen
@@ -174,16 +189,18 @@ def end_group_block(typing_context, blocker_at, strip_at, row_bytes, scratch_at)
 
     def codegen(context, b, signature, arguments):
         blocker_at, strip_at, row_bytes, scratch_at = arguments
-        normal, light = _normal(b, strip_at, row_bytes), _triple(b, blocker_at, LIGHT)
-        share = _word(b, blocker_at, SHARE)
-        directed = share * _dot(normal, light).maximum(0.0)
-        other = (-(share - 1.0)) * 0.25
-        directed = directed.divided_by((directed + other).maximum(1e-6))
-        lost = directed * (-(_row(b, scratch_at, DIRECTED) - 1.0))
-        lost = lost + (-(directed - 1.0)) * (-(_row(b, scratch_at, AMBIENT) - 1.0))
-        _keep(b, _row(b, scratch_at, LEFT) * (-(lost * (1 - DARKEST) - 1.0)), scratch_at, LEFT)
-        for row in (DIRECTED, AMBIENT):
-            _keep(b, _constant(b, 1.0), scratch_at, row)
+        taken = [-(_row(b, scratch_at, row) - 1.0) for row in (DIRECTED, AMBIENT)]
+        with b.if_then(_any_positive(b, taken[0].maximum(taken[1]))):
+            normal, light = _normal(b, strip_at, row_bytes), _triple(b, blocker_at, LIGHT)
+            share = _word(b, blocker_at, SHARE)
+            directed = share * _dot(normal, light).maximum(0.0)
+            other = (-(share - 1.0)) * 0.25
+            directed = directed.divided_by((directed + other).maximum(1e-6))
+            lost = directed * taken[0]
+            lost = lost + (-(directed - 1.0)) * taken[1]
+            _keep(b, _row(b, scratch_at, LEFT) * (-(lost * (1 - DARKEST) - 1.0)), scratch_at, LEFT)
+            for row in (DIRECTED, AMBIENT):
+                _keep(b, _constant(b, 1.0), scratch_at, row)
         return context.get_dummy_value()
 
     return types.void(_p, _p, _p, _p), codegen
@@ -195,11 +212,13 @@ def dim_levels_block(typing_context, near_at, strip_at, row_bytes, scratch_at):
 
     def codegen(context, b, signature, arguments):
         near_at, strip_at, row_bytes, scratch_at = arguments
-        left = _select(b, Vec(b, load(b, near_at)).compare(">", 0.0), _row(b, scratch_at, LEFT), _constant(b, 1.0))
-        for _ in range(3):
-            level = Vec(b, b.sitofp(load(b, strip_at, 0, INT8), FLOAT8))
-            store(b, b.fptosi((level * left).value, INT8), strip_at)
-            strip_at = b.add(strip_at, row_bytes)
+        some = _row(b, scratch_at, LEFT)
+        with b.if_then(_any_positive(b, -(some - 1.0))):
+            left = _select(b, Vec(b, load(b, near_at)).compare(">", 0.0), some, _constant(b, 1.0))
+            for _ in range(3):
+                level = Vec(b, b.sitofp(load(b, strip_at, 0, INT8), FLOAT8))
+                store(b, b.fptosi((level * left).value, INT8), strip_at)
+                strip_at = b.add(strip_at, row_bytes)
         return context.get_dummy_value()
 
     return types.void(_p, _p, _p, _p), codegen

@@ -83,10 +83,11 @@ def faults(scene: Scene) -> list[str]:
     for name, distance, limit in zip(names, distances.tolist(), limits, strict=True):
         if distance > limit:
             problems.append(f"the front of {name} is {distance:.2f} m away from walkable floor")
-    for instance, receptacle in scene.receptacles():
-        x, _, z = transform_points(instance_matrix(instance), receptacle.center[None])[0]
-        if main.distance(shapely.Point(x, z)) > _HAND_M:
-            problems.append(f"{instance.name}|{receptacle.name} is out of reach")
+    surfaces = list(scene.receptacles())
+    if surfaces:
+        middles = [transform_points(instance_matrix(i), receptacle.center[None])[0] for i, receptacle in surfaces]
+        far = shapely.distance(main, shapely.points(np.array(middles)[:, [0, 2]])) > _HAND_M
+        problems += [f"{surfaces[k][0].name}|{surfaces[k][1].name} is out of reach" for k in np.flatnonzero(far)]
     for pocket in pockets(floor, main):
         point = pocket.representative_point()
         problems.append(f"a tight gap of {pocket.area:.3f} m2 at ({point.x:.2f}, {point.y:.2f})")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
-from itertools import product
+from functools import cache, lru_cache
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -159,8 +159,8 @@ def lathe(
     a whole number of times; parts flatter than 45 degrees are textured from above.
     """
     p = np.array(profile, float)
-    along = np.diff(p, axis=0)
-    flat = np.stack([along[:, 1], -along[:, 0]], 1)
+    along = p[1:] - p[:-1]
+    flat = along[:, ::-1] * (1, -1)
     flat /= np.maximum(np.sqrt((flat * flat).sum(1, keepdims=True)), 1e-12)
     start, end = flat.copy(), flat.copy()
     joined = (flat[:-1] * flat[1:]).sum(1) > _CREASE_COS
@@ -170,9 +170,7 @@ def lathe(
     rings = np.stack([p[:-1], p[1:]], 1).reshape(-1, 2)  # two per segment of the profile: kinks keep two normals
     slopes = np.stack([start, end], 1).reshape(-1, 2)
     points = segments + (repeat_m > 0)
-    turn = np.arange(points) / segments
-    angle = turn * (2 * np.pi)
-    circle = np.stack([np.sin(angle), np.cos(angle)], 1)
+    turn, circle = _turns(points, segments)
     shape = np.asarray(stretch, float)
     vertices, normals = np.empty((len(rings), points, 3)), np.empty((len(rings), points, 3))
     vertices[..., ::2] = circle * shape * rings[:, :1, None]
@@ -182,22 +180,40 @@ def lathe(
     place = np.zeros((len(rings), points, 2))
     if repeat_m:
         around = 2 * np.pi * float(p[:, 0].max()) * float(shape.mean())
-        length = np.sqrt((along * along).sum(1))
+        steps = np.zeros(len(rings))
+        steps[1::2] = np.sqrt((along * along).sum(1))
         place[..., 0] = turn * max(1, round(around / repeat_m)) * repeat_m
-        place[..., 1] = np.cumsum(np.stack([np.zeros(len(length)), length], 1).ravel())[:, None]
+        place[..., 1] = np.cumsum(steps)[:, None]
         level = np.repeat(np.abs(flat[:, 1]) > np.sqrt(0.5), 2)
         place[level] = vertices[level][..., ::2]
+    triangles = _strips(tuple((p[:, 0] > 0).tolist()), points, segments)
+    return Solid(vertices.reshape(-1, 3), normals.reshape(-1, 3), triangles, place.reshape(-1, 2))
+
+
+@lru_cache(maxsize=64)
+def _turns(points: int, segments: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shares of a turn [points], ``segments`` of which are a whole one, and where they are on a circle [points, 2]."""
+    turn = np.arange(points) / segments
+    angle = turn * (2 * np.pi)
+    return turn, np.stack([np.sin(angle), np.cos(angle)], 1)
+
+
+@lru_cache(maxsize=512)
+def _strips(wide: tuple[bool, ...], points: int, segments: int) -> NDArray[np.int32]:
+    """Triangles [F, 3] of a lathe whose profile has these points: ``wide`` where it is away from the axis, so that there is
+    a triangle and not an edge. Shared: never write to it."""
     k = np.arange(segments)
     n = (k + 1) % points
     faces = []
-    for s, (r0, r1) in enumerate(zip(p[:-1, 0].tolist(), p[1:, 0].tolist(), strict=True)):
+    for s, (start, end) in enumerate(pairwise(wide)):
         low, high = 2 * s * points, (2 * s + 1) * points
-        if r0 > 0:
+        if start:
             faces.append(np.stack([low + k, low + n, high + n], 1))
-        if r1 > 0:
+        if end:
             faces.append(np.stack([low + k, high + n, high + k], 1))
     triangles = np.concatenate(faces).astype(np.int32)
-    return Solid(vertices.reshape(-1, 3), normals.reshape(-1, 3), triangles, place.reshape(-1, 2))
+    triangles.flags.writeable = False
+    return triangles
 
 
 def quads(corners: ArrayLike, place: NDArray[np.float64] | None = None) -> Solid:
@@ -214,13 +230,9 @@ def quads(corners: ArrayLike, place: NDArray[np.float64] | None = None) -> Solid
     vertices, normals = c.reshape(-1, 3), np.repeat(normal, 4, axis=0)
     if place is None:
         side = np.abs(normals).argmax(1)
-        place = np.stack(
-            [
-                np.where(side == 0, vertices[:, 2], vertices[:, 0]),
-                np.where(side == 1, vertices[:, 2], -vertices[:, 1]),
-            ],
-            1,
-        )
+        place = np.empty((len(vertices), 2))
+        place[:, 0] = np.where(side == 0, vertices[:, 2], vertices[:, 0])
+        place[:, 1] = np.where(side == 1, vertices[:, 2], -vertices[:, 1])
     return Solid(vertices, normals, faces, place.reshape(-1, 2))
 
 
@@ -228,7 +240,9 @@ def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64
     """`numpy.cross` of [N, 3] without its overhead for small N."""
     x, y, z = a.T
     u, v, w = b.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)
+    out = np.empty(a.shape)
+    out[:, 0], out[:, 1], out[:, 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    return out
 
 
 def _smooth_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 
@@ -97,7 +98,7 @@ class _Cell:
     def areas(self) -> list[float]:
         return [self.desired[r] for r in self.rooms]
 
-    @property
+    @cached_property
     def area(self) -> float:
         return sum(self.areas)
 

@@ -32,7 +32,9 @@ MOVES = (
 MOVES_DIGEST = "b8169aed82264ae9"
 
 
-@pytest.mark.parametrize("outfit", OUTFITS)
+@pytest.mark.parametrize(
+    "outfit", [pytest.param(n, marks=() if n in ("casual", "dress") else pytest.mark.slow) for n in OUTFITS]
+)
 def test_every_outfit_fits_everybody(outfit: str) -> None:
     for name in humanoid_names():
         body = load_humanoid(f"{name}:{outfit}")
@@ -106,7 +108,9 @@ def _poses(body: Humanoid) -> np.ndarray:
 
 
 @pytest.mark.parametrize("outfit", OUTFITS)
-@pytest.mark.parametrize("name", ["female_2", "male_1", "child_0"])
+@pytest.mark.parametrize(
+    "name", ["female_2", *(pytest.param(name, marks=pytest.mark.slow) for name in ("male_1", "child_0"))]
+)
 def test_no_skin_comes_through_cloth(name: str, outfit: str) -> None:
     """Skin beside cloth stands out of it by at most some millimetres, in walking and reaching."""
     from scipy.spatial import KDTree

@@ -74,10 +74,8 @@ def test_the_skin_follows_the_skeleton() -> None:
 
 def test_episodes_make_people_of_their_own_and_verify(tmp_path: Path) -> None:
     out = tmp_path / "ds"
-    assert (
-        main(["generate", "rearrange", "--episodes", "2", "--human", "random", "--human-walk", "paper", "-o", str(out)])
-        == 0
-    )
+    words = ["--human", "random", "--human-walk", "paper", "--max-steps", "700"]
+    assert main(["generate", "rearrange", "--episodes", "2", *words, "-o", str(out)]) == 0
     dataset = h3data.Dataset(out)
     models = {dataset[k].agents[1].model for k in range(2)}
     assert len(models) == 2

@@ -50,9 +50,9 @@ homes = pytest.mark.parametrize("spec", SPECS, ids=lambda s: f"{s.preset}-{s.see
 def test_same_spec_same_bytes_in_another_process_with_other_hash_seed():
     code = (
         "from h3data.scene import *;"
-        "print(*(scene_digest(build_home(HomeSpec(seed=2, preset=p))) for p in ('small', 'medium', 'large')))"
+        "print(*(scene_digest(build_home(HomeSpec(seed=2, preset=p))) for p in ('small', 'medium')))"
     )
-    expected = [scene_digest(home(HomeSpec(seed=2, preset=p))) for p in ("small", "medium", "large")]
+    expected = [scene_digest(home(HomeSpec(seed=2, preset=p))) for p in ("small", "medium")]
     environment = {**os.environ, "PYTHONHASHSEED": "12345"}
     out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert out.stdout.split() == expected
@@ -268,13 +268,14 @@ def test_everybody_can_walk_everywhere(spec: HomeSpec):
 
 
 MANY = [
-    *(HomeSpec(seed=s, preset="small") for s in range(12)),
-    *(HomeSpec(seed=s, preset="medium") for s in range(7)),
-    *(HomeSpec(seed=s, preset="large") for s in (2,)),
+    *(HomeSpec(seed=s, preset="small") for s in range(3, 12)),
+    *(HomeSpec(seed=s, preset="medium") for s in (1, 3, 4, 5)),
 ]
 
 
-@pytest.mark.parametrize("spec", MANY, ids=lambda s: f"{s.preset}-{s.seed}")
+@pytest.mark.parametrize(
+    "spec", [*SPECS, *(pytest.param(s, marks=pytest.mark.slow) for s in MANY)], ids=lambda s: f"{s.preset}-{s.seed}"
+)
 def test_no_passage_is_open_for_one_radius_and_shut_for_the_other(spec: HomeSpec):
     """Gaps of 2 r - 5 cm to 2 r + 10 cm, r = 0.25, are avoided: both discs find the same islands and loops, and hardly
     a place where only one fits. Judged on the floor that `FreeSpace` takes, not on the one that placed the furniture."""

@@ -114,6 +114,7 @@ def test_raw_input_is_what_decides(whole: Path) -> None:
     assert found.difference.step == 10
 
 
+@pytest.mark.slow
 def test_a_driven_episode_goes_on_from_the_middle_and_that_comes_out_again(whole: Path) -> None:
     recording = open_recording(whole)
     for step, partner in ((300, "both"), (37, None)):

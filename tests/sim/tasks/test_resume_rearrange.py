@@ -138,8 +138,8 @@ def test_people_of_before_planted_feet_are_not_simulated_again(episode: Recordin
 # --- resume -----------------------------------------------------------------------------------------------------------
 def test_resuming_gives_the_rest_of_the_episode(known: Callable[[int], Recording]) -> None:
     rng = np.random.default_rng(0)
-    for number in range(10):
-        recording = known(number % 4)
+    for number in range(4):
+        recording = known(number)
         step = int(rng.integers(len(recording) + 1))
         again = resume(recording, step)
         require_same(again, recording)

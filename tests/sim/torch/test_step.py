@@ -50,7 +50,12 @@ def home(preset: Any) -> Any:
 
 # --- against the kernels ------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("preset", "spec", "steps"), [("small", BaseSpec(), 1000), ("medium", BaseSpec(), 1000), ("small", SIDEWAYS, 200)]
+    ("preset", "spec", "steps"),
+    [
+        ("small", BaseSpec(), 1000),
+        pytest.param("medium", BaseSpec(), 1000, marks=pytest.mark.slow),
+        ("small", SIDEWAYS, 200),
+    ],
 )
 def test_1000_steps_of_64_worlds_are_those_of_the_kernels(preset: str, spec: BaseSpec, steps: int) -> None:
     from sim_kinematic.motion import gait

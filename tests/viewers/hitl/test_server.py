@@ -134,6 +134,7 @@ def test_other_addresses_need_tls(tmp_path: Path):
         assert server.process.wait(10) == 2
 
 
+@pytest.mark.slow
 def test_a_certificate_serves_other_addresses_over_https_alone(tmp_path: Path):
     openssl = shutil.which("openssl")
     if openssl is None:

@@ -28,7 +28,7 @@ from h3data_viewers.hitl.messages import (
     Pick,
     Place,
     Stop,
-)  # fmt: skip
+)
 from sim_kinematic.agents.driven.commands import Drop as DropSkill
 from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCommand
 from sim_kinematic.agents.driven.commands import Place as PlaceSkill

@@ -42,7 +42,7 @@ from h3data_viewers.hitl.messages import (
     Pick,
     Place,
     decode,
-)  # fmt: skip
+)
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_BEHIND = 3

@@ -21,6 +21,7 @@ from h3data.scene.homes.furnishing.search import place_at_wall, place_free
 from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.kinds.kind import furniture_of
 from h3data.scene.homes.lived_in.models import remodel
+from h3data.scene.homes.lived_in.settling import settle
 from h3data.scene.homes.rooms import FURNISH
 from h3data.scene.homes.style import Style
 
@@ -216,4 +217,5 @@ def furnish(rng: np.random.Generator, style: Style, state: RoomState, dining: bo
     _NEW[state.room.category](rng, style, state, dining)
     _extras(rng, style, state)
     _on_walls(rng, style, state)
+    settle(state)
     remodel(rng, style, state)

@@ -72,7 +72,7 @@ export class Game {
     const { origin, shape, cell } = manifest.sdf;
     const [x1, z1] = [origin[0] + shape[0] * cell, origin[1] + shape[1] * cell];
     const eye = manifest.agents[manifest.me]?.kind === "robot" ? ROBOT_EYE_M : EYE_M;
-    this.camera = new CameraRig(manifest.floor_y, eye, [origin[0], origin[1], x1, z1]);
+    this.camera = new CameraRig(world.floor.highest, eye, [origin[0], origin[1], x1, z1]);
     // one that is there shows the episode before, in a headset that is still worn
     this.renderer = options.renderer ?? new WebGLRenderer({ canvas: hud.canvas, antialias: options.antialias });
     if (!options.renderer) this.renderer.setPixelRatio(options.pixelRatio);

@@ -46,6 +46,7 @@ test("a robot pitches with the stairs as Python has it", () => {
 test("a home without stairs is level everywhere", () => {
   const level = new Floor([], 0.25);
   assert.deepEqual([level.height(3, 4), level.riser(3, 4), level.pace(3, 4)], [0.25, 0, 1]);
+  assert.deepEqual([level.highest, FLOOR.highest], [0.25, 2.7]);
   assert.deepEqual(level.slope(3, 4, 1, 0.7), { y: 0.25, pitch: 0 });
 });
 

@@ -23,6 +23,11 @@ export class Floor {
     return low === high ? low : low + (high - low) * Math.min(Math.max(along(row, x, z), 0), 1);
   }
 
+  /** Height of the highest storey, m. */
+  get highest(): number {
+    return Math.max(...(this.rows.length ? this.rows.map((row) => row[5]) : [this.levelY]));
+  }
+
   /** Height of a step at a place; 0 where there are no stairs, m. */
   riser(x: number, z: number): number {
     const row = this.nearest(x, z);

@@ -1,0 +1,43 @@
+"""A policy file for the package: its arrays as planes of bytes, which take less room in the wheel.
+
+``python -m bake.packed_policy run/policy.npz datasets/policies/learn_pop.npz`` changes no number.
+``--rounded`` rounds weights to 11 significant bits too, which halves their size. That is another policy, if hardly, so its
+scores are to be measured.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.files import part_file
+from sim_kinematic.policies.network import PLANES, read_arrays, to_planes
+
+DROPPED_BITS = 13
+"""Of the 24 significant bits of a float32, by ``--rounded``."""
+
+
+def rounded(weights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The nearest numbers whose last `DROPPED_BITS` bits are 0, ties away from it."""
+    bits = np.ascontiguousarray(weights).view(np.uint32) + np.uint32(1 << (DROPPED_BITS - 1))
+    return (bits & np.uint32(0xFFFFFFFF << DROPPED_BITS & 0xFFFFFFFF)).view(np.float32)
+
+
+def main(source: Path, out: Path, *, rounding: bool) -> None:
+    _, arrays = read_arrays(source)
+    packed = {}
+    for name, array in arrays.items():
+        if array.dtype == np.float32:
+            packed[name + PLANES] = to_planes(rounded(array) if rounding else array)
+        else:
+            packed[name] = array
+    with part_file(out) as part, part.open("wb") as stream:
+        np.savez(stream, **packed)  # type: ignore[arg-type]
+
+
+if __name__ == "__main__":
+    files = [Path(word) for word in sys.argv[1:] if word != "--rounded"]
+    main(*files, rounding="--rounded" in sys.argv)
