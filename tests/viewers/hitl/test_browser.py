@@ -180,6 +180,20 @@ def test_a_drawer_is_opened_by_a_click_and_something_is_taken_out(tmp_path: Path
     assert {"open", "pick"} <= {json.loads(e.payload)["message"]["k"] for e in recording.inputs if e.kind == "client"}
 
 
+def test_a_door_is_opened_and_walked_through(tmp_path: Path) -> None:
+    from tests.viewers.hitl.server import Server
+
+    with Server(tmp_path / "out", scenes="small2-doors:0", seed=6) as server:
+        said = play("door", server.links[0], tmp_path)
+    assert said["open"] > 0.8
+    x, z = said["at"][0], said["at"][2]
+    (a, b), (c, d) = said["before"], said["after"]
+    sides = [(p - x) * (said["beside"][0] - x) + (q - z) * (said["beside"][1] - z) for p, q in ((a, b), (c, d))]
+    assert sides[0] < 0 < sides[1], "from one side of the door to the other"
+    recording = read_mcap(next((tmp_path / "out").glob("*.mcap")))
+    assert verify(recording).difference is None
+
+
 def test_stairs_are_climbed_by_keys_and_predicted(tmp_path: Path) -> None:
     from tests.viewers.hitl.server import Server
 

@@ -12,6 +12,9 @@ from h3data_viewers.hitl.drivers import Driver
 from h3data_viewers.hitl.messages import Act
 from sim_kinematic.tasks.runner import Session, StepResult
 
+_LEAF = "leaf"
+"""The part of a door between rooms, in homes of the generator."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Hud:
@@ -95,7 +98,8 @@ class App:
     def joint_label(self, name: str) -> str:
         """Words for a door or drawer ``thing/part``."""
         thing, _, part = name.rpartition("/")
-        return " ".join(dict.fromkeys(f"{self.label(thing)} {self.label(part)}".split()))
+        words = self.label(thing) if part == _LEAF else f"{self.label(thing)} {self.label(part)}"
+        return " ".join(dict.fromkeys(words.split()))
 
     def over(self, number: int) -> str:
         """What the player reads at the end."""

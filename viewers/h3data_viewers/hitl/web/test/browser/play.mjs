@@ -290,6 +290,38 @@ async function drawer() {
   return { todo, shut, open, moved, held, reason, still, ...(await player.close()) };
 }
 
+/** A closed door: a click opens it, and then a way leads through it, which the page predicts. */
+async function door() {
+  const player = await openPage(url);
+  await player.started();
+  const state = "probe.game.net.latest";
+  const place = () => player.ask("[probe.game.shown.x, probe.game.shown.z]");
+  const [x, z] = await place();
+  const joint = await player.ask(`probe.game.manifest.joints
+    .map((joint, k) => [Math.hypot(joint.handle[0] - ${x}, joint.handle[2] - ${z}), k])
+    .filter(([, k]) => probe.game.manifest.joints[k].label === "door" && ${state}.joints[k] === probe.game.manifest.joints[k].closed)
+    .sort(([a], [b]) => a - b)[0][1]`);
+  const handle = `probe.game.world.joints.handles[${joint}]`;
+  const at = await player.ask(`${handle}.toArray()`);
+  await player.ask(`probe.game.net.send({ k: "open", j: ${joint}, lead: true }); 0`);
+  await player.until(`${state}.joints[${joint}] !== probe.game.manifest.joints[${joint}].closed`, "the door to move", 90_000);
+  const before = await place();
+  await player.shot(picture("moves"));
+  await player.idle();
+  const open = await player.ask(`${state}.joints[${joint}]`);
+  // by keys, so that the page predicts: it looks through the door
+  const ahead = await player.ask(`(() => { const joint = probe.game.manifest.joints[${joint}];
+    const middle = joint.kind === 2 ? [joint.handle[0] + joint.axis[0] * 0.36, joint.handle[2] + joint.axis[2] * 0.36] :
+      [(joint.handle[0] + joint.origin[0]) / 2, (joint.handle[2] + joint.origin[2]) / 2]; return middle; })()`);
+  const beside = [2 * ahead[0] - before[0], 2 * ahead[1] - before[1]];
+  await player.ask(`probe.game.net.send({ k: "goto", p: [${beside[0]}, 0, ${beside[1]}] }); 0`);
+  await player.idle();
+  await player.shot(picture("through"));
+  for (let k = 0; k < 4; k++) await player.press("w", 250);
+  const after = await place();
+  return { at, before, after, beside, open, ...(await player.close()) };
+}
+
 /** To the foot of the stairs by a click, up by keys, and on to a room by a click. */
 async function stairs() {
   const player = await openPage(url);
@@ -323,6 +355,6 @@ async function stairs() {
   return { heights, low, high, body, ...(await player.close()) };
 }
 
-const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial, drawer, stairs };
+const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial, drawer, door, stairs };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
