@@ -46,7 +46,7 @@ test-lowest:  ## the oldest versions that pyproject.toml allows, of all but torc
 	$(LOWEST)/bin/python -m pip install -q -c constraints.txt torch uv pytest hypothesis hatchling editables
 	grep '^torch==' constraints.txt > $(LOWEST)/overrides.txt
 	$(LOWEST)/bin/uv pip install -q --python $(LOWEST)/bin/python --resolution lowest-direct \
-		--override $(LOWEST)/overrides.txt -r pyproject.toml $(addprefix --extra ,$(LOWEST_EXTRAS)) "moto[server]>=5.1"
+		--override $(LOWEST)/overrides.txt -r pyproject.toml $(addprefix --extra ,$(LOWEST_EXTRAS)) "moto[server]>=5.2.5"
 	$(LOWEST)/bin/python -m pip install -q --no-deps --no-build-isolation -e .
 	NUMBA_CACHE_DIR=$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest $(LOWEST_TESTS)
 

@@ -43,7 +43,9 @@ from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 PAIR = ("robot", "human")
 """The paper's agents."""
-ATTEMPTS = 200
+ATTEMPTS, THOROUGH_ATTEMPTS = 200, 60
+THOROUGH_SPOTS = 8
+"""Attempts of which each tries one spot on a surface, then ones that try so many: where little is free, few spots are."""
 REDRAW = 10
 """After so many attempts the starts are drawn anew as well."""
 SPOT_ATTEMPTS = 20
@@ -209,14 +211,14 @@ def draw_episode(
     leg = longest / (2 * spec.objects)
     why = f"a person alone would take more than {budget:.0f} s"
     starts = None
-    for attempt in range(ATTEMPTS):
-        rng = generator(seed, "rearrange", step=attempt)
+    for attempt in range(ATTEMPTS + THOROUGH_ATTEMPTS):
+        rng, thorough = generator(seed, "rearrange", step=attempt), attempt >= ATTEMPTS
         if starts is None or attempt % REDRAW == 0:
             starts = sample_pair_starts(free, int(rng.integers(2**63)), rules, fits=fits)
         chosen = [movable[k] for k in rng.permutation(len(movable))[: spec.objects]]
         # in large homes most errands are too long: later attempts look nearby
         within = np.inf if attempt < REDRAW else leg
-        targets = draw.targets(rng, chosen, starts.human_xz, within, longest)
+        targets = draw.targets(rng, chosen, starts.human_xz, within, longest, spots=THOROUGH_SPOTS if thorough else 1)
         if targets is None:
             continue
         seconds = draw.seconds_alone(starts, targets)
@@ -226,7 +228,8 @@ def draw_episode(
             return starts, targets
         why = f"a person alone would take about {seconds:.0f} s"
     raise SceneError(
-        f"Found no {spec.objects} objects and goals in {scene.name!r} within reach of both agents in {ATTEMPTS} attempts "
+        f"Found no {spec.objects} objects and goals in {scene.name!r} within reach of both agents in "
+        f"{ATTEMPTS + THOROUGH_ATTEMPTS} attempts "
         f"({why}). Hint: a larger --max-steps, or another home."
     )
 
@@ -299,10 +302,18 @@ class _Draw:
     """Whether both agents open a part, by joint."""
 
     def targets(
-        self, rng: np.random.Generator, chosen: list[Instance], here: Array, within_m: float, longest_m: float
+        self,
+        rng: np.random.Generator,
+        chosen: list[Instance],
+        here: Array,
+        within_m: float,
+        longest_m: float,
+        *,
+        spots: int,
     ) -> tuple[Target, ...] | None:
         """A start and a goal for each of the chosen things, each within ``within_m`` on the floor of the place before; None
-        if there are no such places, or if the way past all of them is certainly longer than ``longest_m``."""
+        if ``spots`` tries on each surface give no such places, or if the way past all of them is certainly longer than
+        ``longest_m``."""
         names = {i.name for i in chosen}
         taken = [
             (i.pose[:3], object_extent(self.scene, i)[0])
@@ -312,14 +323,14 @@ class _Draw:
         found = []
         least = 0.0
         for thing in chosen:
-            start = self._place(rng, thing, taken, here, within_m)
+            start = self._place(rng, thing, taken, here, within_m, spots=spots)
             if start is None:
                 return None
             least += max(float(np.hypot(*(start[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
             if least > longest_m:
                 return None
             here = start[0][[0, 2]]
-            goal = self._place(rng, thing, taken, here, within_m, start)
+            goal = self._place(rng, thing, taken, here, within_m, start, spots=spots)
             if goal is None:
                 return None
             least += max(float(np.hypot(*(goal[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
@@ -330,13 +341,13 @@ class _Draw:
 
     def _place(
         self, rng: np.random.Generator, thing: Instance, taken: list[tuple[NDArray, float]], here: Array,
-        within_m: float, away_from: tuple[Array, str] | None = None,
+        within_m: float, away_from: tuple[Array, str] | None = None, *, spots: int = 1,
     ) -> tuple[Array, str] | None:  # fmt: skip
         """A free spot [3] for a thing that both agents reach, and its receptacle; it is taken from then on."""
         radius, low, high = object_extent(self.scene, thing)
         order = rng.permutation(len(self.surfaces))
         near = order if np.isinf(within_m) else order[self._ways(here)[order] <= within_m]
-        for k in near[:12].tolist():
+        for k in np.repeat(near[:12], spots).tolist():
             instance, receptacle = self.surfaces[k]
             size = receptacle.half_size * np.abs(instance.scale[[0, 2]]) - radius
             local = rng.uniform(-1, 1, 2)

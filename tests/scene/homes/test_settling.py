@@ -1,4 +1,4 @@
-"""Crooked chairs in other furniture: set straight and moved, and nobody else is."""
+"""Pieces in walls and crooked chairs in other furniture are moved out of them, and nothing else is."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ class Room:
 
     def __init__(self, *placed: Placed) -> None:
         self.placed = list(placed)
+        self.interior = (-5.0, -5.0, 5.0, 5.0)
 
 
 def block(width: float, depth: float, x: float, z: float, yaw: float = 0.0, quarter: int = 0, **options: Any) -> Placed:
@@ -59,6 +60,19 @@ def test_who_stands_free_or_straight_stays_to_the_bit() -> None:
         block(0.6, 0.6, 0.7, 0, yaw=0.1, y=0.9),  # above it
     ):
         assert settled(chest, other) == [chest, other]
+
+
+def test_what_is_in_a_wall_stands_at_it() -> None:
+    for x, z, out in (
+        (4.72, 0.0, (4.7, 0.0)),
+        (-4.72, 0.0, (-4.7, 0.0)),
+        (0.0, 4.75, (0.0, 4.7)),
+        (4.715, -4.8, (4.7, -4.7)),
+    ):
+        (moved,) = settled(block(0.6, 0.6, x, z))
+        assert (moved.x, moved.z) == pytest.approx(out)
+    stays = block(0.6, 0.6, 4.705, 0)
+    assert settled(stays) == [stays]
 
 
 def test_the_way_out_is_as_long_as_the_boxes_are_in_each_other() -> None:

@@ -1,7 +1,7 @@
-"""Chairs that stand crooked are set straight, and moved, where they would stand in other furniture.
+"""Pieces that would stand a centimetre or two in a wall or in other furniture are moved out of it.
 
-Places are found for pieces that stand parallel to the walls; a chair that is turned by some degrees, or whose collision boxes
-are larger than its model, can then be in its neighbour by a centimetre or two. It alone is changed.
+Places are found for models that stand parallel to the walls; a chair that is turned by some degrees is wider, and so are
+collision boxes that are larger than the model. Only pieces that are too deep in something are changed.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.scene.homes.furnishing.place import Placed, RoomState, footprint, gap
+from h3data.scene.homes.furnishing.place import Placed, Rect, RoomState, footprint, gap
 from h3data.scene.records import Box
 
 DEPTH_M = 0.01
@@ -22,15 +22,29 @@ _NEAR_M = 0.1
 
 
 def settle(state: RoomState) -> None:
-    """Takes the crooked pieces of a room out of those beside them."""
+    """Takes the pieces of a room out of its walls, and the crooked ones out of those beside them."""
     for k, placed in enumerate(state.placed):
-        if not placed.yaw or not placed.piece.solid:
+        if not placed.piece.solid or placed.y:
+            continue
+        placed = state.placed[k] = _off_the_walls(placed, state.interior)
+        if not placed.yaw:
             continue
         rect = footprint(placed)
         near = [p for p in state.placed if p is not placed and p.piece.solid and gap(footprint(p), rect) < _NEAR_M]
         others = [box for p in near for box in _boxes(p)]
         if _deepest(placed, others)[0] > DEPTH_M:
             state.placed[k] = _moved(replace(placed, yaw=0.0), others)
+
+
+def _off_the_walls(placed: Placed, interior: Rect) -> Placed:
+    corners = [
+        c + sx * h[0] * a[0] + sz * h[1] * a[1] for c, h, a, _, _ in _boxes(placed) for sx in (-1, 1) for sz in (-1, 1)
+    ]
+    if not corners:
+        return placed
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    x, z = np.maximum(np.array(interior[:2]) - low, 0) - np.maximum(high - np.array(interior[2:]), 0)
+    return replace(placed, x=placed.x + float(x), z=placed.z + float(z)) if max(abs(x), abs(z)) > DEPTH_M else placed
 
 
 def _moved(placed: Placed, others: list[_UprightBox]) -> Placed:
