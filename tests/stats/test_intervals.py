@@ -38,7 +38,7 @@ def test_student(n):
 @pytest.mark.parametrize("n", [8, 200])
 def test_bootstrap(n):
     values = np.random.default_rng(n).exponential(1, n)
-    reference = scipy.stats.bootstrap((values,), np.mean, n_resamples=10_000, method="percentile", rng=1)
+    reference = scipy.stats.bootstrap((values,), np.mean, n_resamples=10_000, method="percentile", random_state=1)
     low, high = bootstrap_interval(values)
     width = high - low
     assert abs(low - reference.confidence_interval.low) < 0.04 * width

@@ -45,7 +45,11 @@ def test_permutation_agrees_with_scipy_and_is_the_default():
     a, b = arrays(first, second)
     got = compare_paired(first, second)
     expected = scipy.stats.permutation_test(
-        (a, b), lambda x, y, axis: np.mean(x - y, axis=axis), permutation_type="samples", vectorized=True, rng=0
+        (a, b),
+        lambda x, y, axis: np.mean(x - y, axis=axis),
+        permutation_type="samples",
+        vectorized=True,
+        random_state=0,
     )
     assert got.method == "permutation"
     assert got.p == pytest.approx(expected.pvalue, abs=0.01)
