@@ -191,7 +191,7 @@ export class World {
     if (name.startsWith("ceiling")) this.lids.push(node);
     else if (this.manifest.agents.some((agent) => agent.name === fullName)) return;
     else this.home.push(node);
-    if (name === "walls" || name.startsWith("wall")) this.solid.push(node);
+    if (name.startsWith("wall") || STAIRWELL.has(name)) this.solid.push(node);
     if (name.startsWith("floor_") || name.startsWith("rug") || name === "floor") this.floors.push(node);
     if (TALL.some((kind) => name.startsWith(kind))) this.solid.push(node);
   }
@@ -210,6 +210,9 @@ export class World {
     return shadow;
   }
 }
+
+/** Between storeys: its walls, what is under the upper one, and the stairs, into which a camera behind who walks down would sink. */
+const STAIRWELL = new Set(["stairwell", "cellar", "stairs"]);
 
 /** Furniture that would stand between the camera and the person. */
 const TALL = ["fridge", "wardrobe", "shelf", "front_door", "kitchen_cabinet", "shower", "window", "blind"];
