@@ -27,6 +27,7 @@ def row(scene: Scene, name: str) -> NDArray[np.uint8]:
     """A door at three positions, RGB [H, W, 3]."""
     joints = joints_of(scene)
     thing, part = joints.parts[joints.index(name)]
+    assert part.handle is not None
     heading = float(heading_from_quat(thing.pose[3:]))
     inward, along = (np.array([np.sin(a), 0.0, np.cos(a)]) for a in (heading, heading + np.pi / 2))
     middle = thing.pose[:3] + 0.5 * along * np.sign(part.handle[0]) + np.array([0.0, 1.0, 0.0])

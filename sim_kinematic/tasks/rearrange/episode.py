@@ -43,8 +43,8 @@ from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 PAIR = ("robot", "human")
 """The paper's agents."""
-ATTEMPTS, THOROUGH_ATTEMPTS = 200, 60
-THOROUGH_SPOTS = 8
+ATTEMPTS, THOROUGH_ATTEMPTS = 200, 150
+THOROUGH_SPOTS = 20
 """Attempts of which each tries one spot on a surface, then ones that try so many: where little is free, few spots are."""
 REDRAW = 10
 """After so many attempts the starts are drawn anew as well."""
