@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import shapely
@@ -35,8 +36,9 @@ class Doorways:
     """Numbers of their joints."""
 
     @staticmethod
+    @lru_cache(maxsize=16)
     def of(scene: Scene, free: FreeSpace) -> Doorways:
-        """The doors of a home with the floor ``free`` as it is at rest."""
+        """The doors of a home with the floor ``free`` as it is at rest, found once."""
         there = passable(scene, free)
         return Doorways(scene, there, free if there is scene else free.as_in(there), passages(scene, free))
 

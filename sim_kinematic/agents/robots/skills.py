@@ -146,13 +146,14 @@ class RobotActor(RobotDriver):
             self._gave_up.append(goal.copy())
         return ending
 
-    def stands(self, point: NDArray, base: BaseSpec | None = None) -> Array:
+    def stands(self, point: NDArray, base: BaseSpec | None = None, free: FreeSpace | None = None) -> Array:
         """Stands ``(x, z, heading)`` [N, 3] that can be driven to, from which the hand reaches a world point [3]."""
-        return robot_stands(self.free, self.robot, base or self.base, point, island=island_of(self.free, self.xz))
+        free = free or self.free
+        return robot_stands(free, self.robot, base or self.base, point, island=island_of(free, self.xz))
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
         """As `stands`, were the floor as in ``free``."""
-        return robot_stands(free, self.robot, self.base, point, island=island_of(free, self.xz))
+        return self.stands(point, free=free)
 
     def _navigate_to_handle(self, k: int) -> Skill:
         """Drives to where the hand reaches a handle, if possible along its whole way, and turns for it."""

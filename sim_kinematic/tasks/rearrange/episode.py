@@ -114,6 +114,11 @@ class RearrangeSpec:
             )
 
 
+def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:
+    """The rules of an episode that is sampled in a home now: its floor moves if something there opens."""
+    return replace(spec, floor_moves=bool(scene.articulations))
+
+
 class Target(NamedTuple):
     """One object and where it is to go."""
 

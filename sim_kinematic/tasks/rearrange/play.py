@@ -311,17 +311,15 @@ class RearrangePlay:
             self.floor = common_floor(world.roster, world.free.as_in(scene))
             if self.right_of_way is not None:
                 self.right_of_way.walk_on(self.floor)
-            for actor in self.actors:
-                if isinstance(actor, RobotActor):
-                    base = base_of(actor.robot, world.spec.robot)
-                    actor.walk_on(floor_of(actor.robot, base, scene, self.floor))
-                else:
-                    actor.walk_on(self.floor)
         for actor in self.actors:
             if isinstance(actor, RobotActor):
                 actor.arm_clearance = arm_clearance(scene, actor.robot, floor_y)
+                if world.spec.floor_moves:
+                    base = base_of(actor.robot, world.spec.robot)
+                    actor.walk_on(floor_of(actor.robot, base, scene, self.floor))
             else:
                 actor.room = reach_room(scene, actor.person.body, floor_y)
+                actor.walk_on(self.floor)
                 if isinstance(actor, DrivenPerson):
                     actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
 

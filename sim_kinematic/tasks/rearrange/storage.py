@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import msgspec
@@ -40,6 +39,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     RearrangeSpec,
     Target,
     free_spot,
+    rules_in,
     seconds_alone,
     starts_of,
 )
@@ -124,7 +124,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
                 body.require_arm()
         scene, targets = self._furnished(record, place)
         if not record.rules:
-            spec = replace(spec, floor_moves=bool(scene.articulations))
+            spec = rules_in(scene, spec)
         if record.placements:
             targets += placed(scene, place.free, record.seed, spec, record.placements, pair)
         starts, complete = self._starts(record, place, scene, targets, pair)

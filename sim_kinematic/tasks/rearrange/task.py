@@ -49,6 +49,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     RearrangeSpec,
     body_indices,
     draw_episode,
+    rules_in,
     starts_of,
 )
 from sim_kinematic.tasks.rearrange.kept_track import KeptTrack, follow_track
@@ -100,7 +101,7 @@ class Rearrange(Task):
         self.check_roster(roster)
         robot, human = pair_of(roster)
         free = common_floor(roster, free)
-        spec = replace(spec, floor_moves=bool(scene.articulations))
+        spec = rules_in(scene, spec)
         starts, targets = draw_episode(scene, free, seed, spec, load_robot(robot), load_humanoid(human))
         return RearrangeEpisode(
             scene=scene,
