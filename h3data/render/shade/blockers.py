@@ -178,7 +178,7 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
         inv_z = np.where(inv_z > 0, 1 / np.maximum(view.reach - inv_z, 1e-6), 0).astype(np.float32)
     spheres = _spheres(blockers.rows)
     seen = _on_screen(spheres, view, factor)
-    index = np.flatnonzero(seen[:, 1] > seen[:, 0])
+    index = np.flatnonzero(seen[:, 3] > seen[:, 0])
     if not len(index):
         return nothing
     height, width = view.height // factor, view.width // factor
@@ -189,27 +189,28 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
 
 
 def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
-    """What the spheres of each capsule [N, S, 4] cover: pixels from and to along x and along y, 1/z from and to, [N, 6]."""
+    """What the spheres of each capsule [N, S, 4] cover: from x, y [px] and 1/z to x, y and 1/z, [N, 6]; 1e9 to 0 if nothing."""
     center = (spheres[..., :3] - view.eye) @ view.axes
-    x, y, z, r = center[..., 0], center[..., 1], center[..., 2], spheres[..., 3]
-    fx, fy, cx, cy = view.intrinsics / factor
-    size = np.array([view.width // factor, view.height // factor])
-    out = np.empty((*r.shape, 6))
-    for axis, (side, f, c) in enumerate(((x, fx, cx), (y, fy, cy))):
-        if view.parallel:
-            low, high = f * (side - r) + c, f * (side + r) + c
-        else:  # both tangents from the eye, in the plane of this axis and z
-            apart = np.sqrt(np.maximum(side**2 + z**2 - r**2, 0))
-            front = (z > r + 0.05) & (apart > 0)
-            middle, half = np.arctan2(side, z), np.arctan2(r, np.maximum(apart, 1e-9))
-            low = np.where(front & (middle - half > -1.5), f * np.tan(np.maximum(middle - half, -1.5)) + c, -1e6)
-            high = np.where(front & (middle + half < 1.5), f * np.tan(np.minimum(middle + half, 1.5)) + c, 1e6)
-        out[..., 2 * axis], out[..., 2 * axis + 1] = np.clip(low, 0, size[axis]), np.clip(high, 0, size[axis])
-    out[..., 4] = 1 / np.maximum(z + r, 1e-3)
-    out[..., 5] = np.where(z - r > 1e-3, 1 / np.maximum(z - r, 1e-3), 1e6)
-    gone = (r <= 0) | (z + r <= 0) | (out[..., 3] <= out[..., 2]) | (out[..., 1] <= out[..., 0])
-    out[gone, 0::2], out[gone, 1::2] = 1e9, 0
-    return np.stack([out[..., k].min(1) if k % 2 == 0 else out[..., k].max(1) for k in range(6)], axis=1)
+    side, z, r = center[..., :2], center[..., 2:], spheres[..., 3:]
+    intrinsics = view.intrinsics / factor
+    f, c = intrinsics[:2], intrinsics[2:4]
+    low, high = np.empty((*r.shape[:2], 3)), np.empty((*r.shape[:2], 3))
+    if view.parallel:
+        low[..., :2], high[..., :2] = f * (side - r) + c, f * (side + r) + c
+    else:  # both tangents from the eye, in the plane of each axis and z
+        apart = np.sqrt(np.maximum(side * side + z * z - r * r, 0))
+        front = (z > r + 0.05) & (apart > 0)
+        middle, half = np.arctan2(side, z), np.arctan2(r, np.maximum(apart, 1e-9))
+        start, end = middle - half, middle + half
+        low[..., :2] = np.where(front & (start > -1.5), f * np.tan(np.maximum(start, -1.5)) + c, -1e6)
+        high[..., :2] = np.where(front & (end < 1.5), f * np.tan(np.minimum(end, 1.5)) + c, 1e6)
+    size = view.width // factor, view.height // factor
+    low[..., :2], high[..., :2] = np.clip(low[..., :2], 0, size), np.clip(high[..., :2], 0, size)
+    low[..., 2:] = 1 / np.maximum(z + r, 1e-3)
+    high[..., 2:] = np.where(z - r > 1e-3, 1 / np.maximum(z - r, 1e-3), 1e6)
+    gone = ((r <= 0) | (z + r <= 0))[..., 0] | (high[..., :2] <= low[..., :2]).any(-1)
+    low[gone], high[gone] = 1e9, 0
+    return np.concatenate([low.min(1), high.max(1)], axis=1)
 
 
 @kernel(error_model="numpy", boundscheck=False)
@@ -220,7 +221,7 @@ def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
     """
     count, height, width = 0, view.height // factor, view.width // factor
     across = -(-width // TILE_X)
-    low_x, high_x, low_y, high_y = seen[:, 0].min(), seen[:, 1].max(), seen[:, 2].min(), seen[:, 3].max()
+    low_x, low_y, high_x, high_y = seen[:, 0].min(), seen[:, 1].min(), seen[:, 3].max(), seen[:, 4].max()
     for tile in range(len(first) - 1):
         first[tile] = count
         x0, y0 = (tile % across) * TILE_X, (tile // across) * TILE_Y
@@ -238,8 +239,8 @@ def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
         around = _around_tile(view, factor, x0, x1, y0, y1, 1 / nearest, 1 / farthest)
         for n in range(len(seen)):
             if (
-                seen[n, 0] < x1 and seen[n, 1] > x0 and seen[n, 2] < y1 and seen[n, 3] > y0
-                and seen[n, 4] <= nearest and seen[n, 5] >= farthest
+                seen[n, 0] < x1 and seen[n, 3] > x0 and seen[n, 1] < y1 and seen[n, 4] > y0
+                and seen[n, 2] <= nearest and seen[n, 5] >= farthest
             ):  # fmt: skip
                 bits = _matters(rows, index[n], around)
                 if bits:

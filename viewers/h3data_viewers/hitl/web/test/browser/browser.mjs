@@ -46,7 +46,14 @@ export class Player {
   async until(expression, what, ms = 30_000) {
     for (const end = Date.now() + ms; Date.now() < end; await this.nap(50)) if (await this.ask(expression)) return;
     const cover = await this.ask("document.body.dataset.state + ': ' + document.getElementById('cover').innerText");
-    throw new Error(`Waited ${ms / 1000} s for ${what}; the page says ${cover}; faults: ${this.faults.join(" | ")}`);
+    const toast = await this.ask("document.getElementById('toast')?.innerText ?? ''");
+    throw new Error(`Waited ${ms / 1000} s for ${what}; the page says ${cover}; ${toast}; faults: ${this.faults.join(" | ")}`);
+  }
+
+  /** Until the page has drawn so many more pictures. */
+  async drawn(count) {
+    const frames = await this.ask("probe.game.frames");
+    await this.until(`probe.game.frames >= ${frames + count}`, `${count} pictures`);
   }
 
   started() {

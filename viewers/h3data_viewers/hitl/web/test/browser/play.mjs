@@ -234,19 +234,30 @@ async function tutorial() {
   return { texts, refused, over: await player.over, ...(await player.close()) };
 }
 
-/** Looks at a world point, an expression, and gives the pixel at which it is. */
-async function lookAt(player, point) {
-  await player.ask(`(() => {
-    const { camera, shown } = probe.game;
-    const at = ${point};
-    const wanted = Math.atan2(shown.z - at.z, at.x - shown.x) - shown.heading - camera.yaw;
-    camera.look(wanted - 2 * Math.PI * Math.round(wanted / (2 * Math.PI)), -0.45 - camera.pitch);
-  })()`);
-  await player.nap(1500);
-  return player.ask(`(() => {
-    const at = ${point}.clone().project(probe.game.camera.camera);
-    return [((at.x + 1) / 2) * innerWidth, ((1 - at.y) / 2) * innerHeight];
-  })()`);
+/** Clicks on a world point, an expression, through the person's eyes, once a click there would mean that: an expression over
+ * `target`. A page that draws twice a second turns its camera late, and the other agent may walk by in front of it. */
+async function clickOn(player, point, meant, name) {
+  for (let turns = 0; turns < 20; turns++) {
+    await player.ask(`(() => {
+      probe.game.setView("first");
+      const { camera, shown } = probe.game;
+      const [at, eye] = [${point}, camera.camera.position];
+      const yaw = Math.atan2(eye.z - at.z, at.x - eye.x) - shown.heading - camera.yaw;
+      const pitch = Math.atan2(at.y - eye.y, Math.hypot(at.x - eye.x, at.z - eye.z)) - camera.pitch;
+      camera.look(yaw - 2 * Math.PI * Math.round(yaw / (2 * Math.PI)), pitch);
+    })()`);
+    await player.drawn(3);
+    await player.nap(500);
+    await player.shot(picture(name));
+    const pixel = await player.ask(`(() => {
+      const { camera, pointing, held } = probe.game;
+      const at = ${point}.clone().project(camera.camera);
+      const target = pointing.target(at.x, at.y, camera.camera, held);
+      return ${meant} ? [((at.x + 1) / 2) * innerWidth, ((1 - at.y) / 2) * innerHeight] : null;
+    })()`);
+    if (pixel) return player.page.mouse.click(...pixel);
+  }
+  throw new Error(`${meant} was never where a click goes`);
 }
 
 /** A click on the drawer that shuts in a thing opens it, a click on the thing takes it out; a third, on the drawer, may not. */
@@ -262,20 +273,16 @@ async function drawer() {
   await player.ask(`probe.game.net.send({ k: "goto", p: ((at, axis, sign) => at.clone().addScaledVector({ x: axis[0], y: 0, z: axis[2] }, sign * 1.3).setY(0).toArray())(
     ${handle}, probe.game.manifest.joints[${joint}].axis, Math.sign(probe.game.manifest.joints[${joint}].opened)) }); 0`);
   await player.idle();
-  const front = await lookAt(player, handle);
-  await player.shot(picture("before"));
   const todo = await player.ask("document.getElementById('todo').innerText");
   const lying = () => player.ask(`[...${state}.things[${thing}].pose.slice(0, 3)]`);
   const [shut, was] = [await player.ask(`${state}.joints[${joint}]`), await lying()];
-  await player.page.mouse.click(...front);
+  await clickOn(player, handle, `target.joint === ${joint}`, "before");
   await player.until(`Math.abs(${state}.joints[${joint}] - ${shut}) > 0.15`, "the drawer to move", 60_000);
   await player.shot(picture("during"));
   await player.idle();
   const [open, is] = [await player.ask(`${state}.joints[${joint}]`), await lying()];
   const place = `probe.game.world.things[${thing}].position`;
-  const inside = await lookAt(player, place);
-  await player.shot(picture("open"));
-  await player.page.mouse.click(...inside);
+  await clickOn(player, place, `target.thing === ${thing}`, "open");
   await player.idle();
   const held = await player.ask(`${state}.things[${thing}].held === probe.game.manifest.me`);
   await player.press("o");
