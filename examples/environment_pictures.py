@@ -11,7 +11,7 @@ from h3data.render import depth_to_rgb
 SIZE = 320, 240
 env = h3data.make(
     "rearrange",
-    scenes=sys.argv[2] if len(sys.argv) > 2 else "h3-homes/test#2",
+    scenes=sys.argv[2] if len(sys.argv) > 2 else "h3-homes/test#0",
     agents=("robot", "human"),
     observations=("arm_rgb", "arm_depth", "humanoid_mask", "head_rgb"),
     depth_size=SIZE,
@@ -19,12 +19,12 @@ env = h3data.make(
     interrupts_when_close=False,
     render_mode="rgb_array",
 )
-seen, infos = env.reset(seed=2)
+seen, infos = env.reset(seed=0)
 print(env)
 # By number (sim_kinematic.agents.skills.choices): walk to the object, pick it, walk to its goal, place it; then wait.
 plans = {"robot": iter([0, 4, 2, 6]), "human": iter([1, 5, 3, 7])}
 rows = []
-while env.agents and len(rows) < 4:
+while env.agents and len(rows) < 13:
     rows.append(
         np.hstack(
             [
@@ -40,4 +40,5 @@ while env.agents and len(rows) < 4:
     seen, _, _, _, infos = env.step(actions)
     told = {agent: (infos[agent]["step"], infos[agent]["outcome"]) for agent in infos}
     print(told)
-Image.fromarray(np.vstack(rows)).save(sys.argv[1], quality=85)
+# by then the robot has come to where it sees the person
+Image.fromarray(np.vstack(rows[-4:])).save(sys.argv[1], quality=85)

@@ -20,6 +20,7 @@ from h3data.bodies.people.reach import reach
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.builtin import builtin_path
 from h3data.errors import InputError
+from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
 from sim_kinematic.agents.roster import make_roster
 
 ROOT = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
@@ -94,6 +95,39 @@ def test_cloth_lies_over_the_skin_at_rest() -> None:
                 assert (patch.lift[np.isin(patch.slots, main)] >= low).all(), (piece, detail)
             if (patch.slots != SLOTS.index("soles")).all():
                 assert np.mean(patch.lift < low) < 0.08, (piece, detail)
+
+
+def test_light_cloth_is_not_stained() -> None:
+    """The few vertices of a light mesh are far apart, and must not pass for deep hollows: no darker than in the full one."""
+    body = load_humanoid("female_1")
+    darkest = []
+    for part in (body.full, body.lod):
+        x, y, z = part.mesh.vertices.T / body.height_m
+        assert part.mesh.normals is not None
+        back = (part.regions == SLOTS.index("top")) & (part.mesh.normals[:, 2] < -0.6) & (np.abs(x) < 0.08)
+        back &= (y > 0.56) & (y < 0.72) & (z < 0)
+        bright = part.mesh.colors[back].sum(axis=1)
+        assert len(bright) > 10
+        darkest.append(bright.min() / np.median(bright))
+    assert darkest[1] > darkest[0] - 0.02
+
+
+@pytest.mark.parametrize("name", ["child_0", "female_0", "male_1", "neutral_3"])
+def test_no_scalp_comes_through_light_hair(name: str) -> None:
+    """From behind and from the sides, the upper half of the head shows hair."""
+    body = load_humanoid(name)
+    mesh = body.lod_mesh
+    renderer = Renderer(RenderScene([mesh], [RenderInstance(0, np.eye(4))]))
+    top = float(mesh.vertices[:, 1].max())
+    for side in (-0.6, 0.0, 0.6):
+        middle = np.array([0.0, top - 0.075, 0.0])
+        camera = pinhole(
+            96, 96, hfov_deg=8, pose=look_at(middle + 2 * np.array([np.sin(side), 0.1, -np.cos(side)]), middle)
+        )
+        seen = renderer.render(camera, outputs=("triangle",))["triangle"][:48]
+        shown = body.lod.regions[mesh.faces[seen[seen >= 0], 0]]
+        assert len(shown) > 300
+        assert np.mean(shown == SLOTS.index("skin")) < 0.01
 
 
 def _poses(body: Humanoid) -> np.ndarray:

@@ -49,7 +49,7 @@ def dressed(
 ) -> SkinnedMesh:
     """Somebody with a base [B, 3] and its normals in an outfit."""
     clothes = OUTFITS[outfit]
-    hidden = wardrobe.hidden(clothes.pieces, detail)
+    hidden = wardrobe.hidden((*clothes.pieces, look.hair), detail)
     slots = slot_colors(look.complexion, {**clothes.colors[look.palette % len(clothes.colors)], **look.colors})
     scalp = SCALP.get(look.hair, SCALP_USUAL)
     pieces = ["skin", *clothes.pieces, look.hair, "brows", *(["beard"] if look.beard else [])]

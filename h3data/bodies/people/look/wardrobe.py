@@ -145,7 +145,8 @@ class Wardrobe:
         count = self.data[f"skin/{detail}/faces"].shape[-1]
         bits = np.zeros((count + 7) // 8, np.uint8)
         for piece in pieces:
-            bits |= self.data[f"{piece}/{detail}/hides"]
+            if f"{piece}/{detail}/hides" in self.data:
+                bits |= self.data[f"{piece}/{detail}/hides"]
         return np.unpackbits(bits, count=count).astype(bool)
 
 

@@ -34,6 +34,9 @@ from h3data.geometry import Array, normalized
 Collar = Literal["none", "rib", "shirt", "hood", "lapels"]
 FINE_M = 0.0172
 """Edges of the full sheets that are longer than this [m] are halved."""
+HOLLOWS = {True: 130.0, False: 14.0}
+"""Strength [1/m] with which hollows are darkened in full and in light meshes: the latter's neighbours are three times as far
+away, so a surface of the same curvature lies ten times as deep between them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +150,7 @@ def top(ground: Ground, skin: Sheet, spec: Top, *, fine: bool) -> Draft:
     lift = top_lift(ground, m, s, spec)
     s = replace(s, weights=_hanging(s.weights))
     shown = ground.shown(Draft(mesh=s, lift=lift), "skin")
-    shade = _hollows(shown, s.faces, source)
+    shade = _hollows(shown, s.faces, source, fine)
     if spec.cuffs_m:
         shade = shade * np.where(s.slots == SLOT["top trim"], 0.90, 1.0)
     if spec.stripes:
@@ -169,11 +172,11 @@ def _hanging(weights: Array) -> Array:
     return out
 
 
-def _hollows(points: Array, faces: NDArray[np.int32], source: NDArray[np.int64]) -> Array:
+def _hollows(points: Array, faces: NDArray[np.int32], source: NDArray[np.int64], fine: bool) -> Array:
     count = int(source.max()) + 1
     one = np.stack([np.bincount(source, points[:, k], minlength=count) for k in range(3)], 1)
     one /= np.maximum(np.bincount(source, minlength=count), 1)[:, None]
-    return hollows(one, source[faces].astype(np.int32))[source]
+    return hollows(one, source[faces].astype(np.int32), HOLLOWS[fine])[source]
 
 
 def limits(mesh: Cloth, m: Measures, spec: Top) -> tuple[Array, Array, Array]:
@@ -345,7 +348,7 @@ def bottom(ground: Ground, skin: Sheet, spec: Bottom, *, fine: bool) -> Draft:
         lift = (1 - band) * (lift + 0.012 * bump(edge, spec.cuffs_m + 0.035, 0.03)) + 0.006 * band
     lift = between_legs(m, s, lift)
     draft = Draft(mesh=s, lift=lift)
-    shade = _hollows(ground.shown(draft, "skin"), s.faces, source)
+    shade = _hollows(ground.shown(draft, "skin"), s.faces, source, fine)
     if spec.ribs:
         shade = shade * (1 - 0.10 * smoothstep(0.5, 0.2, ridge(angle * 8 / np.pi)))
     if spec.crease:
@@ -382,7 +385,7 @@ def dress(ground: Ground, skin: Sheet, spec: Dress, *, fine: bool) -> list[tuple
         + depth * ridge(turns) * smoothstep(0.05, 0.6, down)
     )
     skirt = Draft(mesh=mesh, lift=lift)
-    shade = hollows(ground.shown(skirt, "skirt"), mesh.faces)
+    shade = hollows(ground.shown(skirt, "skirt"), mesh.faces, HOLLOWS[fine])
     # the lower edge turns in and up, so that one looks at cloth from below
     row = np.arange(rows * across).reshape(rows, across)
     back = row[[-1, -2, -3]].ravel()
@@ -390,7 +393,7 @@ def dress(ground: Ground, skin: Sheet, spec: Dress, *, fine: bool) -> list[tuple
         vertices=flat[back], weights=mesh.weights[back], faces=grid_faces(3, across)[:, ::-1].copy(),
         slots=mesh.slots[back],
     )  # fmt: skip
-    lip_lift = lift[back] - np.repeat([0.0, 0.004, 0.006], across)
+    lip_lift = lift[back] - np.repeat([0.0, 0.004, 0.006] if fine else [0.0, 0.012, 0.020], across)
     lip_draft = Draft(mesh=lip, lift=lip_lift, shade=np.repeat([0.8, 0.5, INSIDE_SHADE], across))
     whole = joined([replace(skirt, shade=shade), lip_draft])
     return [(top(ground, skin, spec, fine=fine), "skin"), (whole, "skirt")]

@@ -209,6 +209,23 @@ def hair(ground: Ground, spec: Hair, *, fine: bool) -> Draft:
     return joined([draft, *extra])
 
 
+def under_hair(ground: Ground, spec: Hair, points: Array) -> Array:
+    """How far inside the hairline points of the skin [N, 3] are [m]; -1 where little or nothing grows."""
+    from scipy.ndimage import minimum_filter
+    from scipy.spatial import KDTree
+
+    skull, columns = Skull(ground), 72
+    azimuth, t = np.linspace(0, 2 * np.pi, columns, endpoint=False), np.linspace(0, 1, 24)[:, None]
+    polar = t * skull.line_deg(azimuth, spec.line)
+    degrees = np.broadcast_to(np.degrees(np.abs((azimuth + np.pi) % (2 * np.pi) - np.pi)), polar.shape)
+    lift = _thickness(spec, polar, degrees, t, np.zeros(polar.shape, bool), fine=False)
+    around = minimum_filter(lift, (5, 7), mode=("nearest", "wrap"))  # also 1.5 cm further on
+    cap = skull.at(polar, np.broadcast_to(azimuth, polar.shape)).reshape(-1, 3)
+    away, near = KDTree(cap).query(points)
+    inside = 0.10 * np.radians((polar[-1] - polar).ravel()[near])
+    return np.where((away < 0.02) & (around.ravel()[near] > 0.0015), inside, -1.0)
+
+
 def _thickness(spec: Hair, polar: Array, degrees: Array, t: Array, hangs: NDArray[np.bool_], *, fine: bool) -> Array:
     """How far the shell is off the skull [m]: full on top, thin towards the neck, sunk where nothing grows."""
     top = smoothstep(98, 20, polar)

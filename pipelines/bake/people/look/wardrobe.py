@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bake.people.look.base import Base, above_shoe, neckline
 from bake.people.look.drafts import Draft, Ground
 from bake.people.look.garments import BOTTOMS, TOPS, Bottom, Dress, Top, bottom, dress, limits, top
-from bake.people.look.hair import HAIR, Skull, beard_draft, brows, hair
+from bake.people.look.hair import HAIR, Skull, beard_draft, brows, hair, under_hair
 from bake.people.look.measures import Cloth
 from bake.people.look.shoes import SHOES, shoes
 from bake.people.look.skin import full_sheet, light_sheet, skin_draft
@@ -23,6 +23,8 @@ log = logging.getLogger(__name__)
 
 MARGIN_M = {"full": 0.028, "lod": 0.045}
 """Skin further inside a garment than this is not drawn."""
+SCALP_MARGIN_M = 0.010
+"""Likewise for the light scalp further inside the hairline."""
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -49,6 +51,9 @@ def wardrobe_arrays(base: Base) -> Arrays:
             arrays = _merged([ground.arrays(draft, part, ruler=ruler) for draft, part in drafts])
             if name in TOPS or name in BOTTOMS or name in SHOES:
                 inside = _covered(base, name, skin.mesh) > MARGIN_M[detail]
+                arrays["hides"] = np.packbits(inside[canonical(skin.mesh.faces)].all(axis=1))
+            elif name in HAIR and not fine:  # the few facets of a light skull come through light hair
+                inside = under_hair(ground, HAIR[name], skin.mesh.vertices) > SCALP_MARGIN_M
                 arrays["hides"] = np.packbits(inside[canonical(skin.mesh.faces)].all(axis=1))
             log.info("%s %s: %d vertices", name, detail, len(arrays["lift"]))
             out |= {f"{name}/{detail}/{key}": value for key, value in arrays.items()}
