@@ -362,6 +362,42 @@ async function stairs() {
   return { heights, low, high, body, ...(await player.close()) };
 }
 
-const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial, drawer, door, stairs };
+/** The pictures of the documentation: over the shoulder, with something in the hand, beside the robot, as a spectator. */
+async function album() {
+  const [seat, watch] = url.split(",");
+  const player = await openPage(seat);
+  await player.started();
+  const lookTo = (x, z, pitch) => player.ask(`(() => { const { camera, shown } = probe.game; camera.pitch = ${pitch};
+    camera.yaw = Math.atan2(shown.z - (${z}), (${x}) - shown.x) - shown.heading; })()`);
+  const state = "probe.game.net.latest";
+  await player.ask("probe.game.camera.pitch = -0.15; 0");
+  await player.nap(3000);
+  await player.shot(picture("over"));
+  for (let k = 0; k < 4 && !(await player.ask("probe.game.held >= 0")); k++) {
+    await player.press("f");
+    await player.idle();
+  }
+  await player.ask("probe.game.setView('first'); Object.assign(probe.game.camera, { pitch: -0.8, yaw: 0 }); 0");
+  await player.drawn(3);
+  await player.nap(1000);
+  await player.shot(picture("hand"));
+  await player.ask("probe.game.setView('third'); 0");
+  const robot = await player.ask(`probe.game.manifest.agents.findIndex((agent) => agent.kind === "robot")`);
+  const [x, z] = await player.ask(`[${state}.agents[${robot}].x, ${state}.agents[${robot}].z]`);
+  await player.ask(`probe.game.net.send({ k: "goto", p: [${x} + 1.1, 0, ${z} + 0.4] }); 0`);
+  await player.idle();
+  await lookTo(`${state}.agents[${robot}].x`, `${state}.agents[${robot}].z`, -0.25);
+  await player.drawn(3);
+  await player.nap(1000);
+  await player.shot(picture("robot"));
+  const spectator = await openPage(watch);
+  await spectator.started();
+  await spectator.nap(5000);
+  await spectator.shot(picture("above"));
+  await spectator.close();
+  return player.close();
+}
+
+const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial, drawer, door, stairs, album };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
