@@ -115,7 +115,7 @@ def _reachable(free: NDArray[np.bool_], *, lamps: NDArray[np.float64], cell_m: f
     count = int(np.asarray(label(free, output=parts)))
     keep = np.bincount(parts.ravel(), minlength=count + 1) * cell_m**3 > _HOLLOW_M3
     for border in (parts[0], parts[-1], parts[:, 0], parts[:, -1], parts[:, :, 0], parts[:, :, -1]):
-        keep[np.unique(border)] = True
+        keep[border] = True
     at = lamps.astype(int)
     at = at[((at >= 0) & (at < free.shape)).all(1)]
     keep[parts[tuple(at.T)]] = True
