@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from shapely import intersects, linestrings, union_all
 
 from h3data.bodies import Humanoid
 from h3data.bodies.people.foot_planting import LEG_JOINTS, runs, sole_points
@@ -24,9 +25,10 @@ from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Recording, state_hash
 from h3data.recording.records import JOINTS
 from h3data.replay.replay import Replay
-from h3data.scene import FreeSpace, load_scene
+from h3data.scene import FreeSpace, Scene, load_scene
 from h3data.scene.articulation import joints_of
 from h3data.scene.floor_heights import floor_heights
+from h3data.scene.passages import outlines, passages
 
 Check = Literal[
     "unreadable", "schema", "time", "values", "quaternions", "hash", "jumps", "penetration", "feet", "assets", "video"
@@ -330,6 +332,29 @@ def _in_walls(rec: Recording, replay: Replay) -> Iterator[Finding]:
         if (depth > WALL_M).any():
             text = f"its root is {depth.max():.2f} m inside an obstacle or off the floor"
             yield _error("penetration", agent.name, text, at=depth > WALL_M)
+    if JOINTS in rec.columns:
+        yield from _through_doors(rec, replay.scene, free)
+
+
+def _through_doors(rec: Recording, scene: Scene, free: FreeSpace) -> Iterator[Finding]:
+    """Agents whose roots cross the leaf of a door between rooms, wherever it stands in that step."""
+    joints, recorded = joints_of(scene), rec.columns[JOINTS].astype(np.float64)
+    roots = [rec.agent_column(i, "base_pose")[:, [0, 2]].astype(np.float64) for i in range(len(rec.agents))]
+    steps = [linestrings(np.stack([xz[:-1], xz[1:]], axis=1)) for xz in roots]
+    for k in passages(scene, free):
+        # of a step, the position at its end: who opens a door stands still
+        places, which = np.unique(recorded[1:, k], return_inverse=True)
+        leaves = []
+        for place in places:
+            positions = joints.rest.copy()
+            positions[k] = place
+            leaves.append(union_all(outlines(scene, k, positions)))
+        leaf = np.array(leaves, object)[which]
+        for agent, ways in zip(rec.agents, steps, strict=True):
+            crosses = np.append(False, intersects(leaf, ways))
+            if crosses.any():
+                text = f"its root goes through {joints.names[k]}, a door, where it stands"
+                yield _error("penetration", agent.name, text, at=crosses)
 
 
 def _feet(replay: Replay, agent: int) -> Iterator[Finding]:

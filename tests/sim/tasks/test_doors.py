@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from h3data.recording import Recording
+from h3data.recording import Recording, state_hash
+from h3data.recording.records import JOINTS
+from h3data.replay.validation import validate_recording
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.articulation import joints_of, posed
 from sim_kinematic.agents.driven.commands import Close, Open
@@ -65,6 +67,18 @@ def test_nobody_passes_a_door_before_it_is_open(recording: Recording, home: Scen
     floors = {key: free.as_in(posed(home, positions[k])) for k, key in enumerate(map(bytes, positions))}
     for place, now in zip(places, map(bytes, positions), strict=True):
         assert floors[now].signed_distance(place) > 0.2  # a person's disc has a radius of 0.25 m
+
+
+def test_validation_tells_of_who_goes_through_a_closed_door(recording: Recording) -> None:
+    assert not [found for found in validate_recording(recording) if found.check == "penetration"]
+    shut = np.repeat(recording.columns[JOINTS][:1], len(recording), axis=0)
+    columns = {**recording.columns, JOINTS: shut}
+    damaged = replace(recording, columns={**columns, "state_hash": state_hash(columns)})
+    found = [found for found in validate_recording(damaged) if "a door" in found.text]
+    assert found
+    assert {(one.check, one.severity, one.subject) for one in found} == {("penetration", "error", "human")}
+    opened = {span.target for span in recording.skills if span.name == "open" and span.outcome == "done"}
+    assert {one.text.split()[4].rstrip(",") for one in found} <= opened
 
 
 def test_it_verifies_and_continues_while_a_door_moves(recording: Recording) -> None:
