@@ -171,6 +171,7 @@ def test_kept_recordings_and_bare_results_give_the_same_heat_maps(
         assert [c.head for c in heat["partners_rearrange_RC"].columns] == ["object_1", "plan_pop_1", "ZSC mean"]
         assert [run.name for run in report.data.runs] == ["complement", "still"]
         assert ("Other partners", 4) in report.tables[0].groups
+        assert "complement against still" in [table.title for table in report.tables]  # the same episodes, in pairs
     assert tables[kept] == tables[bare]
     rows = dict(tables[kept]["partners_rearrange_SR"])
     assert rows["complement"] == [means["SR", "complement", p] for p in ("object_1", "plan_pop_1", "ZSC mean")]

@@ -63,7 +63,12 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
             try:
                 plan = _plan(task, episode, partner)
                 if plan not in played:
-                    recording = simulate(task, episode, {**chosen, **({"human": plan} if plan else {})})
+                    recording = simulate(
+                        task,
+                        episode,
+                        {**chosen, **({"human": plan} if plan else {})},
+                        episode_id=str(job.base.index),
+                    )
                     measured = measure(recording)
                     if job.keep:
                         recordings[plan] = recording
