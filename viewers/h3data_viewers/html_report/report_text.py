@@ -12,8 +12,8 @@ from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section,
 
 TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"}
 """Names of the paper's tasks."""
-_LISTED = 5_000
-"""At most so many episodes are listed one by one."""
+_LISTED, _MOST_PATHS = 5_000, 8
+"""At most so many episodes, and folders, are listed one by one."""
 
 
 def task_name(task: str) -> str:
@@ -49,7 +49,8 @@ def beginning(title: str, data: ReportData, missing: Sequence[str], sections: Se
         f"{', …' if len(names) > 5 else ''}</li>"
         for reason, names in data.unmeasured.items()
     )
-    where = ", ".join(f"<code>{escape(str(path))}</code>" for path in data.paths)
+    where = ", ".join(f"<code>{escape(str(path))}</code>" for path in data.paths[:_MOST_PATHS])
+    where += f" and {len(data.paths) - _MOST_PATHS} more" if len(data.paths) > _MOST_PATHS else ""
     return (
         f"<header><h1>{escape(title)}</h1><p class=quiet>{where} · {date.today():%d %B %Y}</p>"
         f'<ul class="facts">{tiles}</ul><ul class="findings">{said}</ul>'
