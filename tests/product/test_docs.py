@@ -99,6 +99,31 @@ def test_files_and_make_targets_in_the_docs_exist(page: Path) -> None:
     assert sorted(name for name in groups if not (ROOT / "benchmarks" / f"{name}.py").exists()) == []
 
 
+def lines_of_benchmarks() -> str:
+    """A pattern of all names in `benchmarks/` that may be lines; what is put in when they run is any word."""
+    patterns = set()
+    for file in (ROOT / "benchmarks").glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                parts = [part.value if isinstance(part, ast.Constant) else None for part in node.values]
+                patterns.add("".join(r"\w+(?:\.\w+)*" if part is None else re.escape(str(part)) for part in parts))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                patterns.add(re.escape(node.value))
+    return "|".join(pattern for pattern in patterns if re.match(r"[a-z_]+\\\.", pattern))
+
+
+def test_the_figures_of_the_readme_are_lines_of_benchmarks() -> None:
+    names = re.findall(r"\| `([a-z_]+\.[\w.{},]+)` \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(names) > 10
+    emitted = lines_of_benchmarks()
+    for name in names:
+        before, _, rest = name.partition("{")
+        choices, _, after = rest.partition("}")
+        for choice in choices.split(","):
+            assert re.fullmatch(emitted, f"{before}{choice}{after}"), name
+    assert not re.fullmatch(emitted, "recording.mcap.no_such_line")
+
+
 def test_the_docs_hold_commands() -> None:
     assert sum(len(commands(page)) for page in PAGES) > 200
     assert sum(len(quoted(page)) for page in PAGES) > 100
