@@ -1,4 +1,5 @@
-"""Drawing a recording again: frames of 640x480 with RGB, depth and ids per second of CPU, and where the time goes.
+"""Drawing a recording again: frames of 640x480 per second of CPU, with RGB, depth and ids or RGB alone with smooth edges as
+`h3data rerender` has it by default, and where the time goes.
 
 A home with a robot that follows a person, seen by a camera that trails the robot; textures, occlusion, the body as
 detailed as the camera needs. CPU seconds of the process, so per core; files are written to a temporary folder.
@@ -10,9 +11,10 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from benchmarks.render import cpu_seconds
-from h3data.render import Output, pinhole
+from h3data.render import Output, VideoWriter, pinhole
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.replay.stage import Stage
 from h3data.scene import HomeSpec, build_home
@@ -54,6 +56,7 @@ def run(emit: Emit) -> None:
     emit("render.rerender_update_full_body_ms", _seconds(lambda: pose(full)) / count * 1e3, "ms")
     emit("render.rerender_depth_640x480_fps_per_core", 1 / depth, "1/s")
     emit("render.rerender_640x480_fps_per_core", 1 / drawn, "1/s")
+    _run_smooth(emit, replay, track)
     with tempfile.TemporaryDirectory() as folder:
         for form in ("mp4", "data", "png"):
             files = _seconds(lambda form=form: _files(replay, track, Path(folder), form)) / count
@@ -61,9 +64,37 @@ def run(emit: Emit) -> None:
             emit(f"render.rerender_{form}_640x480_encode_share", 1 - drawn / files, "1")
 
 
-def _files(replay: Replay, track: CameraTrack, folder: Path, form: Format) -> None:
-    targets = [Target.named(folder, "bench", "bench", output, form) for output in OUTPUTS]
-    render_files(replay, [(track, targets)], steps=range(len(replay)), threads=1, description=form)
+def _run_smooth(emit: Emit, replay: Replay, track: CameraTrack) -> None:
+    """The lines of a video of colours with four samples a pixel, and of its conversion and encoding alone."""
+    stage, count = replay.stage, len(replay)
+    renderer = stage.renderer()
+    pictures = [stage.render(renderer, k, [track.at(k)], outputs=("rgb",), samples=4)[0]["rgb"] for k in range(count)]
+
+    with tempfile.TemporaryDirectory() as folder:
+
+        def encode() -> None:
+            with VideoWriter(Path(folder) / "alone.mp4", 640, 480) as video:
+                for picture in pictures:
+                    video.write(picture)
+
+        whole = _seconds(lambda: _files(replay, track, Path(folder), "mp4", outputs=("rgb",), samples=4))
+        encoded = _seconds(encode)
+    emit("render.rerender_smooth_640x480_fps_per_core", count / whole, "1/s")
+    emit("render.rerender_smooth_640x480_encode_share", encoded / whole, "1")
+    emit("render.h264_640x480_fps_per_core", count / encoded, "1/s")
+
+
+def _files(
+    replay: Replay,
+    track: CameraTrack,
+    folder: Path,
+    form: Format,
+    *,
+    outputs: tuple[Output, ...] = OUTPUTS,
+    samples: Literal[1, 4] = 1,
+) -> None:
+    targets = [Target.named(folder, "bench", "bench", output, form) for output in outputs]
+    render_files(replay, [(track, targets)], steps=range(len(replay)), threads=1, samples=samples, description=form)
 
 
 def _seconds(work: Callable[[], object]) -> float:

@@ -1,4 +1,4 @@
-"""Commands in README and docs are commands that exist with options that exist; Python blocks parse, some pages run."""
+"""Commands, files and make targets that README and docs quote exist; Python blocks parse, some pages run."""
 
 from __future__ import annotations
 
@@ -14,11 +14,15 @@ import pytest
 from h3data.errors import InputError
 from h3data_pipelines.command import Group
 from h3data_pipelines.commands.table import COMMANDS
+from h3data_pipelines.options import options_of
 from h3data_pipelines.parsing import parse
 from tests.paths import DOCS, ROOT
 
-BLOCK = re.compile(r"^ *```(\w+)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^ *```([^\n]*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+SPAN = re.compile(r"`(h3data [^`]+)`")
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("tutorials/*.md"))]
+OTHER_PAGES = [ROOT / f"{name}.md" for name in ("ARCHITECTURE", "CONTRIBUTING", "SECURITY")]
+OTHER_PAGES += sorted(ROOT.glob("datasets/**/*.md"))
 NOTEBOOKS = sorted(DOCS.glob("notebooks/*.ipynb"))
 RUN = ("python.md",)
 """Pages whose Python blocks run one after the other, as a reader runs them."""
@@ -28,7 +32,7 @@ def commands(page: Path) -> list[list[str]]:
     """Words of every command of h3data in the shell blocks of a page."""
     lines: list[list[str]] = []
     for kind, text in BLOCK.findall(page.read_text(encoding="utf-8")):
-        if kind in ("bash", "console", "sh"):
+        if kind in ("bash", "console", "sh", ""):
             for line in text.replace("\\\n", " ").splitlines():
                 for part in re.split(r"&&|\|(?=\s)|;(?=\s)", line.partition(" #")[0]):
                     words = shlex.split(part)
@@ -48,8 +52,81 @@ def test_commands_in_the_docs_exist(page: Path) -> None:
             pass
 
 
+def quoted(page: Path) -> list[str]:
+    """Commands of h3data in the prose of a page, ``h3data plan generate ... --cores 1000``."""
+    return [" ".join(span.split()) for span in SPAN.findall(BLOCK.sub("", page.read_text(encoding="utf-8")))]
+
+
+def fault_of(line: str) -> str:
+    """The command or flag in a line of prose that does not exist; empty if all do. Lines of prose may leave out the rest."""
+    words, table = shlex.split(line)[1:], COMMANDS
+    while words and not words[0].startswith("-"):
+        alternatives, words = words[0].split("|"), words[1:]
+        if missing := [name for name in alternatives if name not in table]:
+            return missing[0]
+        command = table[alternatives[0]]
+        if not isinstance(command, Group):
+            flags = {"--config", "--quiet", "--help"}.union(*(option.flags for option in options_of(command)))
+            given = [flag for word in words for flag in word.strip("[],.").partition("=")[0].split("|")]
+            return next((flag for flag in given if re.match(r"--?[a-z]", flag) and flag not in flags), "")
+        table = command.commands
+    return ""
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OTHER_PAGES], ids=lambda page: page.name)
+def test_commands_in_the_prose_exist(page: Path) -> None:
+    assert {line: fault for line in quoted(page) if (fault := fault_of(line))} == {}
+
+
+def test_what_does_not_exist_is_found() -> None:
+    assert fault_of("h3data generate ... --episodes 5 -o DIR") == ""
+    assert fault_of("h3data metrics list|explain NAME") == ""
+    assert fault_of("h3data scenes show small:3 --bogus") == "--bogus"
+    assert fault_of("h3data scenes paint small:3") == "paint"
+    assert fault_of("h3data simulate") == "simulate"
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OTHER_PAGES], ids=lambda page: page.name)
+def test_files_and_make_targets_in_the_docs_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    tops = "benchmarks|datasets|docs|examples|h3data|pipelines|sim_kinematic|tests|viewers"
+    files = set(re.findall(rf"[` (]((?:{tops})/[\w./*-]+\.(?:py|toml|json|txt|npz|md))\b", text))
+    assert sorted(file for file in files if not any(ROOT.glob(file))) == []
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"(?:`|^)make ([a-z][\w-]*)", text, re.MULTILINE))
+    assert sorted(name for name in targets if not re.search(rf"^{name}:", makefile, re.MULTILINE)) == []
+    groups = set(re.findall(r"\bGROUP=(\w+)", text))
+    assert sorted(name for name in groups if not (ROOT / "benchmarks" / f"{name}.py").exists()) == []
+
+
+def lines_of_benchmarks() -> str:
+    """A pattern of all names in `benchmarks/` that may be lines; what is put in when they run is any word."""
+    patterns = set()
+    for file in (ROOT / "benchmarks").glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                parts = [part.value if isinstance(part, ast.Constant) else None for part in node.values]
+                patterns.add("".join(r"\w+(?:\.\w+)*" if part is None else re.escape(str(part)) for part in parts))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                patterns.add(re.escape(node.value))
+    return "|".join(pattern for pattern in patterns if re.match(r"[a-z_]+\\\.", pattern))
+
+
+def test_the_figures_of_the_readme_are_lines_of_benchmarks() -> None:
+    names = re.findall(r"\| `([a-z_]+\.[\w.{},]+)` \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(names) > 10
+    emitted = lines_of_benchmarks()
+    for name in names:
+        before, _, rest = name.partition("{")
+        choices, _, after = rest.partition("}")
+        for choice in choices.split(","):
+            assert re.fullmatch(emitted, f"{before}{choice}{after}"), name
+    assert not re.fullmatch(emitted, "recording.mcap.no_such_line")
+
+
 def test_the_docs_hold_commands() -> None:
-    assert sum(len(commands(page)) for page in PAGES) > 60
+    assert sum(len(commands(page)) for page in PAGES) > 200
+    assert sum(len(quoted(page)) for page in PAGES) > 100
 
 
 def test_examples_of_help_exist() -> None:
