@@ -215,7 +215,9 @@ def wait_for(what: Any, seconds: float = 60) -> None:
 @pytest.mark.parametrize(
     ("number", "task"),
     [
-        (signal.SIGTERM, "social_nav"),
+        pytest.param(
+            signal.SIGTERM, "social_nav", marks=pytest.mark.slow
+        ),  # quick: test_cli, an interrupted dataset goes on
         pytest.param(signal.SIGHUP, "social_nav", marks=pytest.mark.slow),
         pytest.param(signal.SIGKILL, "social_nav", marks=pytest.mark.slow),
         pytest.param(signal.SIGKILL, "wander", marks=pytest.mark.slow),

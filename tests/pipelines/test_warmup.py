@@ -49,13 +49,13 @@ def _python(*arguments: str, environment: dict[str, str]) -> subprocess.Complete
     return subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, check=True)
 
 
-@pytest.mark.slow  # in the quick suite, workers of a pool do the same
 def test_processes_that_start_together_compile_a_kernel_once(environment: dict[str, str]) -> None:
     command = [sys.executable, "-c", COMPILE]
     processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     assert sum(int(process.communicate()[0]) for process in processes) == 1
 
 
+@pytest.mark.slow
 def test_workers_compile_once_and_say_so_once(environment: dict[str, str], tmp_path: Path) -> None:
     (tmp_path / "workers.py").write_text(WORKERS)
     done = _python(str(tmp_path / "workers.py"), environment=environment)

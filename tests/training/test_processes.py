@@ -167,6 +167,7 @@ def test_a_process_that_fails_ends_the_others(given: int, fault: type[Exception]
     assert set(said) <= {"process 0", "process 1"}
 
 
+@pytest.mark.slow
 def test_a_stop_reaches_all_processes() -> None:
     stop = threading.Event()
     threading.Timer(1.0, stop.set).start()

@@ -529,5 +529,4 @@ def test_replays_of_the_episodes_shown_lie_beside_the_report(
     out.unlink()
     assert main(words) == 2, "the replays are there"
     assert "my report_replays" in capsys.readouterr().err
-    assert main([*words, "--force"]) == 0
     assert main([*words, "--force", "--pictures", "0"]) == 2

@@ -60,8 +60,8 @@ def test_a_planner_opens_the_doors_on_its_way(recording: Recording) -> None:
 
 
 def test_nobody_passes_a_door_before_it_is_open(recording: Recording, home: Scene, free: FreeSpace) -> None:
-    positions = recording.columns["scene.joint_pos"][::4].astype(np.float64)  # each needs a floor of its own
-    places = recording.columns["agent_0.base_pose"][::4, [0, 2]].astype(np.float64)
+    positions = recording.columns["scene.joint_pos"][::12].astype(np.float64)  # each needs a floor of its own
+    places = recording.columns["agent_0.base_pose"][::12, [0, 2]].astype(np.float64)
     floors = {key: free.as_in(posed(home, positions[k])) for k, key in enumerate(map(bytes, positions))}
     for place, now in zip(places, map(bytes, positions), strict=True):
         assert floors[now].signed_distance(place) > 0.2  # a person's disc has a radius of 0.25 m

@@ -3,9 +3,11 @@ recording comes out again from its raw input."""
 
 from __future__ import annotations
 
+import io
 import json
-import subprocess
+import runpy
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -86,9 +88,10 @@ def picked_up(session: Session, k: int = 0) -> None:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The recording of the example, run as it is written."""
     path = tmp_path_factory.mktemp("driven") / "driven.mcap"
-    run = subprocess.run([sys.executable, EXAMPLE, path], capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    assert "success" in run.stdout
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as said:
+        patch.setattr(sys, "argv", [str(EXAMPLE), str(path)])
+        runpy.run_path(str(EXAMPLE), run_name="__main__")
+    assert "success" in said.getvalue()
     return path
 
 

@@ -52,7 +52,7 @@ def home(preset: Any) -> Any:
 @pytest.mark.parametrize(
     ("preset", "spec", "steps"),
     [
-        ("small", BaseSpec(), 300),
+        ("small", BaseSpec(), 150),
         pytest.param("medium", BaseSpec(), 1000, marks=pytest.mark.slow),
         ("small", SIDEWAYS, 200),
     ],
