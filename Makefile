@@ -12,7 +12,7 @@ PYTEST_2 := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTEST) -n 2 --dist works
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel sbom clean
+.PHONY: setup demo warm test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel sbom clean
 
 setup: $(STAMP)
 
@@ -23,6 +23,10 @@ $(STAMP): pyproject.toml constraints.txt
 
 demo: setup  ## simulate, record, render again, measure: out/demo/
 	$(BIN)/h3data demo -o out/demo --force
+
+warm: setup  ## kernels and tests compiled ahead, so that two processes of tests do not wait for each other: in a clean checkout
+	$(BIN)/h3data warmup
+	$(PYTEST) --collect-only -qq >/dev/null
 
 test: setup
 	$(PYTEST_2)

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,20 @@ def real() -> Path:
     if not REAL.is_dir():
         pytest.skip("needs the real Habitat files in ../shared/real, which are not part of the repository")
     return REAL
+
+
+@pytest.fixture(autouse=True, scope="session")
+def homes_are_built_once() -> Iterator[None]:
+    """Equal specs give the same home in a process, as they do within a command; most tests are about what happens in it.
+
+    Each takes half a second, and 60 files want ``HomeSpec(preset="small", seed=1)``. In `tests/scene/homes`, which are
+    about building, every home is a new one.
+    """
+    from h3data.scene.homes import build
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(build, "build_home", lru_cache(maxsize=64)(build.build_home))
+        yield
 
 
 @pytest.fixture

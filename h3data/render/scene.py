@@ -190,8 +190,8 @@ def _join(parts: list[Clusters], deformable: tuple[int, ...]) -> tuple[Geometry,
         center=np.concatenate([np.zeros((0, 3)), *(p.center for p in parts)]),
         half=np.concatenate([np.zeros((0, 3)), *(p.half for p in parts)]),
         mesh_first=_starts(len(p.center) for p in parts).astype(np.int32),
-        mesh_center=boxes[:, 0],
-        mesh_half=boxes[:, 1],
+        mesh_center=boxes[:, 0].copy(),  # contiguous: kernels are compiled anew for every layout of their arguments
+        mesh_half=boxes[:, 1].copy(),
     )
     lanes = [parts[m].triangles for m in storage]
     return geometry, np.concatenate([np.zeros((0, 8), np.int32), *lanes])

@@ -212,7 +212,7 @@ def damaged_files(draw: st.DrawFn) -> tuple[str, bytes]:
     return kind, damaged(FILES[kind][0], draw)
 
 
-@settings(max_examples=250, derandomize=True, deadline=None)
+@settings(max_examples=100, derandomize=True, deadline=None)
 @given(file=damaged_files())
 def test_damaged_files_are_read_or_refused(folder: Path, file: tuple[str, bytes]) -> None:
     read_or_refuse(folder, *file)

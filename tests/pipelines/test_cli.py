@@ -39,7 +39,7 @@ def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> Any:
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short demo, run once."""
     out = tmp_path_factory.mktemp("demo") / "out"
-    assert main(["demo", "-o", str(out), "--steps", "40", "--size", "720x404"]) == 0
+    assert main(["demo", "-o", str(out), "--steps", "24", "--size", "362x203"]) == 0
     return out
 
 
@@ -59,7 +59,7 @@ def test_demo_makes_everything(demo: Path) -> None:
         assert (demo / name).stat().st_size > 0, name
     assert not list(demo.rglob("*.part"))
     summary = json.loads((demo / "summary.json").read_text())
-    assert summary["steps"] == 40
+    assert summary["steps"] == 24
     assert set(summary["files"]) == {*DEMO_FILES[:-1], "dataset"}
     recording = h3data.open(demo / "episode.mcap")
     dataset = h3data.open(demo / "dataset")
@@ -72,21 +72,21 @@ def test_demo_makes_everything(demo: Path) -> None:
 def test_demo_videos_play(demo: Path) -> None:
     import av
 
-    for name, size in (("third_person", (720, 404)), ("arm_depth", (224, 171))):
+    for name, size in (("third_person", (362, 203)), ("arm_depth", (224, 171))):
         with av.open(str(demo / f"{name}.mp4")) as container:
             stream = container.streams.video[0]
             assert stream.codec_context.name == "h264"
             assert (stream.width + stream.width % 2, stream.height // 2 * 2) == (size[0], (size[1] + 1) // 2 * 2)
             frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-        assert len(frames) == 40
+        assert len(frames) == 24
         assert np.std(frames[0]) > 10  # a picture, not a plain colour
 
 
 def test_python_api_on_the_demo(demo: Path) -> None:
     recording = h3data.open(demo / "episode.mcap")
-    assert "40 steps" in repr(recording)
+    assert "24 steps" in repr(recording)
     state = h3data.Replay(recording).at(step=-1)
-    assert state.step == 39
+    assert state.step == 23
     assert {"robot", "human"} == set(state.agents)
     image = h3data.render_frame(recording, camera="third_person", step=20, outputs=("rgb", "depth"))
     assert image["rgb"].shape == (480, 640, 3)
@@ -148,7 +148,7 @@ def test_an_episode_of_a_dataset_can_be_drawn_and_viewed(
     assert main(["view", f"{demo / 'dataset'}#7", "-o", str(tmp_path / "f.rrd")]) == 2
     assert "no episode 7" in capsys.readouterr().err
     assert len([*h3data.open(demo / "dataset")]) == 1
-    assert len(h3data.open(demo / "dataset")[-1]) == 40
+    assert len(h3data.open(demo / "dataset")[-1]) == 24
 
 
 def test_depth_videos_are_the_same_every_time(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -216,7 +216,7 @@ BAD = {
     "unknown body": (["generate", "social_nav", "--human", "yeti", "-o", "ds"], "female_0"),
     "unknown camera": (["rerender", "EPISODE", "--camera", "sky", "-o", "v"], "top_down"),
     "unknown output": (["rerender", "EPISODE", "--outputs", "smell", "-o", "v"], "rgb, depth, instance"),
-    "no such steps": (["rerender", "EPISODE", "--steps", "900:", "-o", "v"], "40 steps"),
+    "no such steps": (["rerender", "EPISODE", "--steps", "900:", "-o", "v"], "24 steps"),
     "unreadable steps": (["rerender", "EPISODE", "--steps", "a:b", "-o", "v"], "start:stop:stride"),
     "a text file as recording": (["rerender", "text.json", "-o", "v"], "text.json"),
     "missing asset root": (["rerender", "EPISODE", "--assets", "nowhere", "-o", "v"], "nowhere"),

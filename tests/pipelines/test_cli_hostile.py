@@ -215,7 +215,9 @@ def wait_for(what: Any, seconds: float = 60) -> None:
 @pytest.mark.parametrize(
     ("number", "task"),
     [
-        (signal.SIGTERM, "social_nav"),
+        pytest.param(
+            signal.SIGTERM, "social_nav", marks=pytest.mark.slow
+        ),  # quick: test_cli, an interrupted dataset goes on
         pytest.param(signal.SIGHUP, "social_nav", marks=pytest.mark.slow),
         pytest.param(signal.SIGKILL, "social_nav", marks=pytest.mark.slow),
         pytest.param(signal.SIGKILL, "wander", marks=pytest.mark.slow),
@@ -360,7 +362,7 @@ def test_a_killed_demo_can_be_recovered_and_repeated(tmp_path: Path, capsys: pyt
     assert len(h3data.open(tmp_path / "saved.mcap")) == saved["steps"] == 3
     assert "--force" in run_json(capsys, "recover", part, "-o", tmp_path / "saved.mcap", code=2)["error"]
     assert "recover" in run_json(capsys, "metrics", out / "episode.mcap", code=2)["error"]
-    assert run_json(capsys, "demo", "-o", out, "--steps", "5", "--force")["steps"] == 5
+    assert run_json(capsys, "demo", "-o", out, "--steps", "5", "--size", "320x240", "--force")["steps"] == 5
     assert not list(out.rglob("*.part"))
 
 

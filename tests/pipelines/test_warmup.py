@@ -55,6 +55,7 @@ def test_processes_that_start_together_compile_a_kernel_once(environment: dict[s
     assert sum(int(process.communicate()[0]) for process in processes) == 1
 
 
+@pytest.mark.slow
 def test_workers_compile_once_and_say_so_once(environment: dict[str, str], tmp_path: Path) -> None:
     (tmp_path / "workers.py").write_text(WORKERS)
     done = _python(str(tmp_path / "workers.py"), environment=environment)

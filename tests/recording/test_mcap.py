@@ -32,7 +32,7 @@ from h3data.recording.schema import RECORD_TYPES, STRUCTS, layout_of, topic_of
 from tests.recording.strategies import recordings, simple_recording
 
 SOME = settings(
-    max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 

@@ -194,36 +194,48 @@ def test_what_is_not_there_or_something_else(store: str) -> None:
         open_recording(picture)
 
 
-def test_commands_take_uris(s3: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def run(*arguments: object) -> dict:
-        assert main([*map(str, arguments), "--json"]) == 0
-        return json.loads(capsys.readouterr().out)
+OPTIONS = ("--scenes", "small:1", "--max-steps", 6, "--seed", 3)
 
-    options = ("--episodes", 2, "--max-steps", 12, "--seed", 3)
-    local, uri = run("generate", "social_nav", *options, "-o", tmp_path / "ds"), f"{s3}/made"
-    made = run("generate", "social_nav", *options, "--mcap", "-o", uri)
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
+    assert main([*map(str, arguments), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_commands_take_uris(s3: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    generate = ("generate", "social_nav", *OPTIONS, "--episodes", 1, "--mcap", "-o")
+    local, uri = run(capsys, *generate, tmp_path / "ds"), f"{s3}/made"
+    made = run(capsys, *generate, uri)
     assert made["dataset"] == uri
     assert made["state_hashes"] == local["state_hashes"]
-    assert main(["generate", "social_nav", *map(str, options), "-o", uri]) == 2
+    assert main([*map(str, generate), uri]) == 2
     assert "--force" in capsys.readouterr().err
-    assert run("generate", "social_nav", *options, "--resume", "-o", uri)["new"] == 0
-    assert run("metrics", uri)["metrics"] == run("metrics", tmp_path / "ds")["metrics"]
-    assert run("metrics", f"{uri}/mcap/000000.mcap")["metrics"]
-    assert run("sql", "select dataset, count(*), avg(S) is not null from steps join episodes using (dataset, episode_index) "
-               "group by 1", uri)["rows"] == [[uri, 24, True]]  # fmt: skip
-    assert run("convert", uri, f"{s3}/logs", "--check")["converted"] == 2
-    assert run("convert", f"{s3}/logs", tmp_path / "back", "--check")["converted"] == 2
-    assert run("convert", f"{uri}#1", f"{s3}/one.mcap")["converted"] == 1
-    run("validate", uri, f"{s3}/one.mcap")
-    run("view", f"{uri}#0", "-o", tmp_path / "e.rrd")
-    run("replay", f"{uri}#0", "--verify")
-    assert run("generate", "social_nav", *options, "--force", "-o", uri)["new"] == 2
-    drawn = run("rerender", f"{uri}#1", "--steps", "0:2", "--format", "png", "-o", tmp_path / "pictures")
-    assert (Path(drawn["recordings"][0]["files"][0]) / "000001.png").is_file()
+    assert run(capsys, *generate, uri, "--resume")["new"] == 0
+    assert run(capsys, "metrics", uri)["metrics"] == run(capsys, "metrics", tmp_path / "ds")["metrics"]
+    assert run(capsys, "metrics", f"{uri}/mcap/000000.mcap")["metrics"]
+    assert run(capsys, "sql", "select dataset, count(*), avg(S) is not null from steps "
+               "join episodes using (dataset, episode_index) group by 1", uri)["rows"] == [[uri, 6, True]]  # fmt: skip
+    assert run(capsys, "convert", f"{uri}#0", f"{s3}/one.mcap", "--check")["converted"] == 1
+    run(capsys, "validate", uri, f"{s3}/one.mcap")
     for command in (["rerender", f"{uri}#0", "-o", f"{s3}/pictures"], ["metrics", uri, "-o", f"{s3}/t.csv"]):
         assert main(command) == 2
         assert "only be written locally" in capsys.readouterr().err
     assert not Path("s3:").exists()
+
+
+@pytest.mark.slow
+def test_recordings_at_a_uri_are_shown_simulated_again_and_replaced(
+    s3: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    uri, generate = f"{s3}/shown", ("generate", "social_nav", *OPTIONS, "--episodes", 2, "-o")
+    run(capsys, *generate, uri)
+    assert run(capsys, "convert", uri, f"{s3}/logs", "--check")["converted"] == 2
+    assert run(capsys, "convert", f"{s3}/logs", tmp_path / "back", "--check")["converted"] == 2
+    run(capsys, "view", f"{uri}#0", "-o", tmp_path / "e.rrd")
+    run(capsys, "replay", f"{uri}#0", "--verify")
+    assert run(capsys, *generate, uri, "--force")["new"] == 2
+    made = run(capsys, "rerender", f"{uri}#1", "--steps", "0:2", "--format", "png", "-o", tmp_path / "pictures")
+    assert (Path(made["recordings"][0]["files"][0]) / "000001.png").is_file()
 
 
 def test_a_bucket_without_the_right_to_write(s3: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -231,7 +243,7 @@ def test_a_bucket_without_the_right_to_write(s3: str, tmp_path: Path, capsys: py
         out.add(EPISODES[0])
     with DatasetWriter(tmp_path / "ds") as out:
         out.add(EPISODES[0])
-    generate = ("generate", "social_nav", "--episodes", "1", "--max-steps", "5", "--seed", "3", "-o")
+    generate = ("generate", "social_nav", "--episodes", "1", "--max-steps", "5", "--scenes", "small:1", "-o")
     with read_only():
         assert len(Dataset(f"{s3}/others")) == 1
         for command in (
@@ -249,11 +261,13 @@ def test_a_bucket_without_the_right_to_write(s3: str, tmp_path: Path, capsys: py
         assert not recordings_equal(Dataset(f"{s3}/others")[0], EPISODES[0]), "it is still there"
 
 
-def test_no_such_bucket_and_nobody_there(
-    s3: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_such_bucket(s3: str) -> None:
     with pytest.raises(InputError, match=r"There is no bucket s3://elsewhere\. Make it, or choose another place"):
         place("s3://elsewhere/x").put(b"x")  # type: ignore[union-attr] - a URI
+
+
+@pytest.mark.slow  # pyarrow tries for 6 seconds
+def test_nobody_there(s3: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
     storage._filesystem.cache_clear()
     assert main(["metrics", f"{s3}/ds"]) == 2

@@ -64,7 +64,7 @@ def test_windows_are_those_of_the_definition(dataset, history, horizon, stride, 
             assert isinstance(value, int) or got[name].numpy().dtype == value.dtype
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
 def test_workers_give_what_one_process_gives(dataset: Dataset, method: str) -> None:
     windows = WindowDataset(dataset, COLUMNS, history=3, horizon=2, border="pad")
     windows[5]  # something is open and kept before the workers start

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from numba import typeof
 from numpy.typing import NDArray
 
 from benchmarks.render import box, colored
@@ -50,6 +51,12 @@ def views(count: int) -> list:
     rng = np.random.default_rng(0)
     eyes = rng.uniform([-2, 1.2, -2], [2, 3, 2], (count, 3))
     return [pinhole(65, 43, hfov_deg=80, pose=look_at(eye, [0, 0.3, 0])) for eye in eyes]
+
+
+def test_all_scenes_share_one_compiled_rasteriser():
+    several = [RenderInstance(k, np.eye(4)) for k in range(3)]
+    scenes = [scene(), *(RenderScene([bumpy(4)] * 3, several, deformable=chosen) for chosen in ([], [1]))]
+    assert len({(typeof(s.geometry), typeof(s.surface), typeof(s.cutouts)) for s in scenes}) == 1
 
 
 @pytest.mark.parametrize("samples", [1, 4])

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.bodies import load_humanoid
@@ -193,6 +193,7 @@ def test_any_recording_can_be_judged(recording: Recording) -> None:
         assert finding.subject in str(finding)
 
 
+@settings(max_examples=12)
 @given(which=st.integers(0, 2**16), row=st.integers(0, 119), seed=st.integers(0, 2**32))
 def test_flipped_bits_are_found(episode: Recording, which: int, row: int, seed: int) -> None:
     """Neither the validation nor the simulator stumbles over them, and both notice."""

@@ -262,18 +262,18 @@ def fabricated(rng: np.random.Generator, *, wanted: int, network: ChooserNetwork
 @pytest.mark.parametrize("name", [ROBOT, pytest.param("partner_0", marks=pytest.mark.slow)])
 @pytest.mark.usefixtures("one_torch_thread")
 def test_it_learns_what_pays(name: str) -> None:
-    rng, settings = np.random.default_rng(3), replace(SMALL, hidden=16, width=16, epochs=4)
+    rng, settings = np.random.default_rng(3), replace(SMALL, epochs=4, rate=1e-2, kl_most=0.3)
     learner = ChooserLearner(settings, name, seed=0)
     shares = []
-    for update in range(25):
+    for update in range(6):
         network = learner.network()
-        played = [fabricated(rng, wanted=5, network=network) for _ in range(6)]
+        played = [fabricated(rng, wanted=5, network=network) for _ in range(4)]
         assert not any((d.chosen == 3).any() for d in played)
         shares.append(np.mean([(d.chosen == 5).mean() for d in played]))
         partner = settings.partners[0]
-        row = learner.update([(partner, d) for d in played], plan_at(settings, update / 25, update), update=update)
+        row = learner.update([(partner, d) for d in played], plan_at(settings, update / 6, update), update=update)
         assert np.isfinite(list(row.values())).all()
-    assert np.mean(shares[-4:]) > np.mean(shares[:4]) + 0.3
+    assert np.mean(shares[-2:]) > shares[0] + 0.3
 
 
 def test_advantages_reach_over_decisions_of_any_length() -> None:

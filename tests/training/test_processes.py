@@ -93,6 +93,7 @@ def waits(given: None, stop: Stop, say: Any) -> str:
 
 
 # --- tests --------------------------------------------------------------------------------------------------------------
+@pytest.mark.slow  # torch starts three times
 def test_processes_agree_on_weights_and_curve(bank: EpisodeBank) -> None:
     found = launch(two_updates, 2, bank, stop=threading.Event(), say=print)
     first, second = found["weights"]
@@ -155,7 +156,10 @@ def test_torchrun_starts_a_run_too(tmp_path: Path) -> None:
     assert policy(tmp_path / "run").card.training["processes"] == 2
 
 
-@pytest.mark.parametrize(("given", "fault", "message"), [(1, InputError, "cannot go on"), (-1, RuntimeError, "code 3")])
+@pytest.mark.parametrize(
+    ("given", "fault", "message"),
+    [pytest.param(1, InputError, "cannot go on", marks=pytest.mark.slow), (-1, RuntimeError, "code 3")],
+)
 def test_a_process_that_fails_ends_the_others(given: int, fault: type[Exception], message: str) -> None:
     said: list[str] = []
     with pytest.raises(fault, match=message):
@@ -163,6 +167,7 @@ def test_a_process_that_fails_ends_the_others(given: int, fault: type[Exception]
     assert set(said) <= {"process 0", "process 1"}
 
 
+@pytest.mark.slow
 def test_a_stop_reaches_all_processes() -> None:
     stop = threading.Event()
     threading.Timer(1.0, stop.set).start()

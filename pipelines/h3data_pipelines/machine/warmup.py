@@ -181,10 +181,10 @@ def _task(name: str, steps: int | None = None) -> Callable[[], None]:
 
 
 WORK: dict[str, Callable[[], None]] = {
-    "pictures": _pictures,  # the longest first
-    "people": _people,
+    "rearrange": _task("rearrange"),  # the longest first: half of the time
+    "pictures": _pictures,
     "light": _light,
-    "rearrange": _task("rearrange"),
+    "people": _people,
     "social_nav": _task("social_nav", 60),
     "wander": _task("wander", 60),
 }

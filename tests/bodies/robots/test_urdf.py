@@ -462,7 +462,7 @@ WORDS = (
 )
 
 
-@settings(derandomize=True, max_examples=150, deadline=None)
+@settings(derandomize=True, max_examples=75, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 30), st.sampled_from(WORDS)), min_size=1, max_size=3))
 def test_a_damaged_file_loads_or_is_refused_in_words(damage: list[tuple[int, int, str]]) -> None:
     body = LINKS + _joint("jb", "a", "b", "prismatic", '<origin xyz="1 2 3" rpy="0 1 0"/><axis xyz="0 0 1"/>' + LIMIT)

@@ -66,7 +66,7 @@ def test_a_wider_agent_never_has_a_shorter_way(seed, more_m):
 
 
 @given(seeds)
-@runs(max_examples=10)
+@runs(max_examples=5)
 def test_steps_stay_on_the_floor_and_on_their_island(seed):
     free = cluttered(seed)
     finder, rng = PathFinder(free), np.random.default_rng(seed)

@@ -334,7 +334,7 @@ def play_at_random(c: dict[str, Any], episodes: int) -> int:
 
 
 @given(c=configurations)
-@settings(max_examples=15)
+@settings(max_examples=4)
 def test_random_actions_do_no_harm(c: dict[str, Any]) -> None:
     play_at_random(c, episodes=2)
 

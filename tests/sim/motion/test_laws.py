@@ -71,7 +71,7 @@ def digest(state: WorldState) -> list[bytes]:
     return [array.tobytes() for array in state.arrays()]
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(base_specs(), st.integers(1, 2), st.integers(0, 2**32 - 1))
 def test_one_world_is_as_many_and_nothing_breaks(spec: BaseSpec, home: int, seed: int) -> None:
     _, free = floor(home)

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import h3data
@@ -71,6 +71,7 @@ def test_hardly_anybody_turns_on_the_spot(seed: int) -> None:
     assert (rests & (np.abs(np.diff(track[:, 2])) > 1e-3)).mean() < 0.05
 
 
+@settings(max_examples=5)
 @given(st.integers(0, 10_000))
 def test_who_faces_a_wall_turns_away_before_they_walk(seed: int) -> None:
     free, rng = floor("small:1"), np.random.default_rng(seed)

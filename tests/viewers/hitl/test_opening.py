@@ -86,6 +86,7 @@ def test_a_drawer_is_opened_emptied_and_closed_and_the_recording_verifies(tmp_pa
     ]
 
 
+@pytest.mark.slow  # in the quick suite, test_live has one without a drawer
 def test_a_game_that_was_killed_while_a_drawer_opened_goes_on(tmp_path: Path):
     player = Player(opening(tmp_path).begin(GameOrder(index=0, name="000000")))
     player.play()
