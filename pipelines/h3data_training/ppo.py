@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -12,12 +13,41 @@ from torch.nn import functional as F
 from h3data_training.networks import actor_numbers, critic_numbers, network
 from h3data_training.ranks import Ranks
 from h3data_training.settings import Settings
-from h3data_training.worlds import COUNTS, HeldWorlds
 
 RANK_SEED = 1_000_003
 """Between the seeds of two processes' exploration noise."""
 BEYOND = 1.2
 """Mean actions beyond this are pulled back: past its limits a command changes nothing, so nothing else would."""
+
+
+class Worlds(Protocol):
+    """W worlds in which a decision holds an action for some steps; a world whose episode is over begins the next one."""
+
+    num_envs: int
+    device: torch.device
+    totals: Tensor
+    """Sums over worlds and steps, of `counts`."""
+
+    @property
+    def counts(self) -> tuple[str, ...]: ...
+    @property
+    def play(self) -> Any:
+        """Where all worlds are; it has ``tensors()`` and ``terminated`` [W]."""
+        ...
+
+    def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]: ...
+    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """Moves all worlds by an action [W, A].
+
+        Returns:
+            Observations; what was gained [W]; whether another episode began in these steps [W]; whether the one before it had
+            had all its steps [W]; whether the action counted for nothing because the episode was over before [W].
+        """
+        ...
+
+    def figures(self, total: dict[str, float]) -> dict[str, float]:
+        """Columns of the learning curve that follow from the totals by name."""
+        ...
 
 
 @dataclass(eq=False)
@@ -28,7 +58,7 @@ class Memory:
     state: Tensor
     """Recurrent state, [W, S]."""
     last: Tensor
-    """Last action, clipped, [W, 2]; 0 where an episode has begun since."""
+    """Last action, clipped, [W, A]; 0 where an episode has begun since."""
     over: Tensor
     """An episode began in the last decision, bool [W]."""
 
@@ -56,7 +86,7 @@ class Learner:
     """Actor, critic, optimizer and rollout buffers of one run; of several processes, each has a learner with its share of the
     worlds, and all come to the same weights."""
 
-    def __init__(self, settings: Settings, worlds: HeldWorlds, *, seed: int, ranks: Ranks | None = None) -> None:
+    def __init__(self, settings: Settings, worlds: Worlds, *, seed: int, ranks: Ranks | None = None) -> None:
         self.settings, self.worlds = settings, worlds
         self.ranks = ranks or Ranks()
         device = worlds.device
@@ -70,7 +100,7 @@ class Learner:
         self.memory = Memory(
             shown=worlds.reset(seed=[seed + first + w for w in range(count)])[0],
             state=torch.zeros(count, self.net.state_length, device=device),
-            last=torch.zeros(count, 2, device=device),
+            last=torch.zeros(count, settings.actions, device=device),
             over=torch.zeros(count, dtype=torch.bool, device=device),
         )
         self._kept: dict[str, Tensor] = {}
@@ -84,19 +114,16 @@ class Learner:
         last = self._collect(plan.gamma)
         advantages, targets, explained = self._advantages(last, plan.gamma)
         learned = self._learn(first, advantages, targets, acts=plan.acts)
-        total = dict(zip(COUNTS, self.ranks.sum(self.worlds.totals).tolist(), strict=True))
-        steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
+        total = dict(zip(self.worlds.counts, self.ranks.sum(self.worlds.totals).tolist(), strict=True))
         return {
-            "reward": total["reward"] / steps, "follows": total["follows"] / steps, "collided": total["collided"] / ended,
-            "met": total["met"] / ended, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
-            "explained": explained, **learned, "std": float(self.net.std().detach().mean()), "rate": plan.rate,
+            **self.worlds.figures(total), "explained": explained, **learned, "std": float(self.net.std().detach().mean()), "rate": plan.rate,
             "gamma": plan.gamma,
         }  # fmt: skip
 
     # --- collecting -------------------------------------------------------------------------------------------------------
     def _inputs(self, over: Tensor) -> dict[str, Tensor]:
         shown, s = self.memory.shown, self.settings
-        found = {"numbers": actor_numbers(shown, self.memory.last, s.observations), "told": critic_numbers(shown, over)}
+        found = {"numbers": actor_numbers(shown, self.memory.last, s.observations), "told": critic_numbers(shown, over, s.critic)}
         return found | ({"pixels": self.net.pixels(shown["arm_depth"])} if self.net.sees else {})
 
     @torch.no_grad()

@@ -128,13 +128,18 @@ class HeldWorlds(SocialNavTorchEnv):
         self.idle.copy_(idle)
         self.totals.add_(sums)
 
-    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Moves all worlds by an action [W, 2].
+    counts = COUNTS
 
-        Returns:
-            Observations; what was gained [W]; whether another episode began in these steps [W]; whether the one before it had
-            had all its steps [W]; whether the action counted for nothing because the episode was over before [W].
-        """
+    def figures(self, total: dict[str, float]) -> dict[str, float]:
+        """As of `h3data_training.ppo.Worlds`."""
+        steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
+        return {
+            "reward": total["reward"] / steps, "follows": total["follows"] / steps, "collided": total["collided"] / ended,
+            "met": total["met"] / ended, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
+        }  # fmt: skip
+
+    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """As of `h3data_training.ppo.Worlds`."""
         with torch.no_grad():
             self._action.copy_(action)
             self._advance()
