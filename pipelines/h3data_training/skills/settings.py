@@ -32,6 +32,8 @@ class SkillSettings(Settings):
     path_m: tuple[float, float] = (0.0, 1000.0)
     """Least and greatest length of the path to the target at the start. Shorter ones than those with which the skill is judged
     let it learn the end first."""
+    limit: int = 300
+    """An episode is cut short after so many steps, as if its time were over: what a robot does that is stuck teaches little."""
     observations: tuple[str, ...] = OF_THE_BASE
     near_m: float = 0.0
 
@@ -40,8 +42,8 @@ class SkillSettings(Settings):
         super().__post_init__()
         if self.network != "cnn_gru":
             raise InputError(f"Skills have the network cnn_gru, not {self.network!r}.")
-        if self.starts < 1 or not 0 <= self.path_m[0] < self.path_m[1]:
-            raise InputError(f"Expected starts of at least 1 and path_m ascending, got {self.starts} and {self.path_m}.")
+        if min(self.starts, self.limit) < 1 or not 0 <= self.path_m[0] < self.path_m[1]:
+            raise InputError(f"Expected starts and limit of at least 1 and path_m ascending, got {self.starts}, {self.limit}, {self.path_m}.")
 
     @property
     def task(self) -> str:

@@ -34,6 +34,7 @@ class HeldSkills:
         if "arm_depth" in settings.observations:
             raise InputError("Skills are learned without pictures so far, got arm_depth. Hint: --observations without it.")
         self.hold, self.num_envs, self.device = hold or settings.hold, count or settings.worlds, torch.device(device)
+        self.limit = settings.limit
         self.sim = SkillTensors(settings.skill, bank, device=device, dtype=torch.float32, robot=settings.robot)
         self._names = tuple(dict.fromkeys((*settings.observations, *settings.critic)))
         worlds, where = self.num_envs, self.device
@@ -70,6 +71,9 @@ class HeldSkills:
             after = self._step(play, self._action, looks=k == self.hold - 1)
             for tensor, value in zip(play.tensors(), after.tensors(), strict=True):
                 tensor.copy_(value)
+            enough = ~play.ended & (play.steps >= self.limit)
+            play.truncated.logical_or_(enough)
+            play.ended.logical_or_(enough)
             ends = live & play.ended
             gain = gain + torch.where(live, play.reward, 0.0)
             sums = sums + torch.stack([

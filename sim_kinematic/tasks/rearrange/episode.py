@@ -103,6 +103,10 @@ class RearrangeSpec:
     """Whether what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
     something opens; those from before 0.3 know nothing of it."""
 
+    skills: str = field(default="", repr=False)
+    """Learned skills of robots, as `sim_kinematic.policies.skills.names.recorded_skills` writes them; those that it does not name
+    know all."""
+
     def __post_init__(self) -> None:
         if self.people_give_way is None:
             object.__setattr__(self, "people_give_way", self.robot.slide != "habitat")
