@@ -230,7 +230,7 @@ def begin_with(net: ActorCritic, policy: PicturedNetwork, settings: Settings) ->
     """
     card, s = policy.card, settings
     pairs = {
-        "network": (card.network, s.network),
+        "task": (card.task, s.task), "network": (card.network, s.network),
         "observations": (card.observations, s.observations), "robot": (card.robot, s.robot),
         "picture_size": (card.picture_size or s.picture_size, s.picture_size),
     }  # fmt: skip

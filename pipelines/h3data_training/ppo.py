@@ -123,7 +123,10 @@ class Learner:
     # --- collecting -------------------------------------------------------------------------------------------------------
     def _inputs(self, over: Tensor) -> dict[str, Tensor]:
         shown, s = self.memory.shown, self.settings
-        found = {"numbers": actor_numbers(shown, self.memory.last, s.observations), "told": critic_numbers(shown, over, s.critic)}
+        found = {
+            "numbers": actor_numbers(shown, self.memory.last, s.observations),
+            "told": critic_numbers(shown, over, s.critic),
+        }
         return found | ({"pixels": self.net.pixels(shown["arm_depth"])} if self.net.sees else {})
 
     @torch.no_grad()

@@ -85,7 +85,18 @@ class Settings:
         strangers = [name for name in self.observations if name not in known]
         if strangers or not self.observations:
             raise InputError(f"Expected observations among {', '.join(known)}; got {', '.join(strangers) or 'none'}.")
-        whole = ("episodes_per_home", "worlds", "rollout", "hold", "features", "hidden", "act_width", "critic_width", "epochs", "minibatches")
+        whole = (
+            "episodes_per_home",
+            "worlds",
+            "rollout",
+            "hold",
+            "features",
+            "hidden",
+            "act_width",
+            "critic_width",
+            "epochs",
+            "minibatches",
+        )
         for name in whole:
             if getattr(self, name) < 1:
                 raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")

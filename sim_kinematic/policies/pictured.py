@@ -52,7 +52,9 @@ def spot(seen: NDArray[np.floating]) -> Floats:
     """A point [3] [m] as numbers that a network reads easily, [8]: as it is, its direction, and how near it is."""
     point = np.asarray(seen, np.float32)
     d = np.sqrt(np.sum(point * point))
-    return np.concatenate([point / np.float32(SPEED_MPS), point / (d + np.float32(0.1)), [np.exp(-2 * d), np.exp(-8 * d)]])
+    return np.concatenate(
+        [point / np.float32(SPEED_MPS), point / (d + np.float32(0.1)), [np.exp(-2 * d), np.exp(-8 * d)]]
+    )
 
 
 def _as_it_is(seen: NDArray[np.floating]) -> Floats:
@@ -78,7 +80,16 @@ ENCODINGS = {
 }
 """Observations that a network may be shown beside ``arm_depth``: their encoding, their length, and the length it gives; of
 ``arm_joints`` both are the number of joints, `lengths`."""
-OF_SKILLS = ("way", "range_scan", "egomotion", "target_gps_compass", "target_sensor", "resting_sensor", "is_holding", "arm_joints")
+OF_SKILLS = (
+    "way",
+    "range_scan",
+    "egomotion",
+    "target_gps_compass",
+    "target_sensor",
+    "resting_sensor",
+    "is_holding",
+    "arm_joints",
+)
 """Those of skills,"""
 OF_SOCIAL_NAV = ("humanoid_gps", "humanoid_detector", "humanoid_velocity", "egomotion", "way", "range_scan")
 """and those of social navigation."""

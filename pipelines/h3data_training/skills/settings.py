@@ -43,7 +43,9 @@ class SkillSettings(Settings):
         if self.network != "cnn_gru":
             raise InputError(f"Skills have the network cnn_gru, not {self.network!r}.")
         if min(self.starts, self.limit) < 1 or not 0 <= self.path_m[0] < self.path_m[1]:
-            raise InputError(f"Expected starts and limit of at least 1 and path_m ascending, got {self.starts}, {self.limit}, {self.path_m}.")
+            raise InputError(
+                f"Expected starts and limit of at least 1 and path_m ascending, got {self.starts}, {self.limit}, {self.path_m}."
+            )
 
     @property
     def task(self) -> str:

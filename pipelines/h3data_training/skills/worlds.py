@@ -32,7 +32,9 @@ class HeldSkills:
     ) -> None:  # fmt: skip
         """``count`` worlds, by default those of the settings; of several processes, each has its share of them."""
         if "arm_depth" in settings.observations:
-            raise InputError("Skills are learned without pictures so far, got arm_depth. Hint: --observations without it.")
+            raise InputError(
+                "Skills are learned without pictures so far, got arm_depth. Hint: --observations without it."
+            )
         self.hold, self.num_envs, self.device = hold or settings.hold, count or settings.worlds, torch.device(device)
         self.limit = settings.limit
         self.sim = SkillTensors(settings.skill, bank, device=device, dtype=torch.float32, robot=settings.robot)

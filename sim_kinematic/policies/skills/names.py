@@ -37,7 +37,9 @@ def recorded_skills(skills: str) -> str:
     names = []
     for word in skills.split(","):
         path = Path(word.removeprefix(PREFIX))
-        names += [PREFIX + str(file) for file in _files_in(path)] if path.is_dir() else [PREFIX + word.removeprefix(PREFIX)]
+        names += (
+            [PREFIX + str(file) for file in _files_in(path)] if path.is_dir() else [PREFIX + word.removeprefix(PREFIX)]
+        )
     found = ",".join(stamped(name) for name in names)
     skills_of(found)
     return found
@@ -84,7 +86,9 @@ def _found(names: tuple[str, ...], robot: str) -> Mapping[str, LearnedSkill]:
     for name in names:
         network = network_of(name)
         if not isinstance(network, PicturedNetwork):
-            raise FormatError(f"Expected weights of a skill, these are for {network.task!r}. File: {name.removeprefix(PREFIX)}")
+            raise FormatError(
+                f"Expected weights of a skill, these are for {network.task!r}. File: {name.removeprefix(PREFIX)}"
+            )
         try:
             skill = LearnedSkill(network, robot=robot)
         except FormatError as fault:

@@ -39,7 +39,9 @@ class LearnedSkill:
             raise FormatError(f"These weights drive the robot {card.robot}, the episode has {robot}.")
         strangers = [name for name in card.observations if name not in SENSES]
         if strangers:
-            raise FormatError(f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(SENSES)}.")
+            raise FormatError(
+                f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(SENSES)}."
+            )
         if (card.actions == BASE_ACTIONS) != (card.task == "skill_nav"):
             raise FormatError(f"The weights for {card.task} have {card.actions} outputs, which is not what it takes.")
         self.network, self.rules = network, rules or SkillSpec()
@@ -127,9 +129,7 @@ class LearnedSkill:
             return None if objects.held_by[k] == NOBODY else Ending("failed", "held_by_other")
         if holds == k:
             return None
-        is_placed = (
-            objects.held_by[k] == NOBODY and float(np.linalg.norm(objects.poses[k, :3] - point)) < rules.place_m
-        )
+        is_placed = objects.held_by[k] == NOBODY and float(np.linalg.norm(objects.poses[k, :3] - point)) < rules.place_m
         if not is_placed:
             return Ending("failed", "dropped" if holds < 0 else "wrong_object")
         return Ending("done") if folded else None
