@@ -72,10 +72,8 @@ def skills_of(skills: str, *, robot: str = "") -> Mapping[str, LearnedSkill]:
         return {}
     word, _, digest = skills.partition("@")
     if word == LEARNED:
-        if digest and digest != _shipped_digest():
-            raise InputError(
-                f"The skills that come with this version are not those that {skills} names: their digest is {_shipped_digest()}."
-            )
+        if digest and digest != (own := _shipped_digest()):
+            raise InputError(f"The skills of this version are not those that {skills} names: their digest is {own}.")
         return _found(tuple(PREFIX + str(builtin_path(file)) for file in SHIPPED), robot)
     return _found(tuple(skills.split(",")), robot)
 

@@ -105,8 +105,8 @@ class RearrangeSpec:
     something opens; those from before 0.3 know nothing of it."""
 
     skills: str = field(default="", repr=False)
-    """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not name
-    know all."""
+    """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not
+    name know all."""
 
     def __post_init__(self) -> None:
         if self.people_give_way is None:
