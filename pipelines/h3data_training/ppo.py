@@ -116,7 +116,8 @@ class Learner:
         learned = self._learn(first, advantages, targets, acts=plan.acts)
         total = dict(zip(self.worlds.counts, self.ranks.sum(self.worlds.totals).tolist(), strict=True))
         return {
-            **self.worlds.figures(total), "explained": explained, **learned, "std": float(self.net.std().detach().mean()), "rate": plan.rate,
+            **self.worlds.figures(total), "explained": explained, **learned,
+            "std": float(self.net.std().detach().mean()), "rate": plan.rate,
             "gamma": plan.gamma,
         }  # fmt: skip
 

@@ -220,9 +220,10 @@ class SkillSpec:
     contact: float = 0.005
     """Cost of a step of ``nav`` in which the base touches something."""
     facing: float = 0.05
-    """``nav`` is paid so much times the cosine to the target,"""
+    """A step of ``nav`` costs so much times one less the cosine to the target,"""
     facing_within_m: float = 3.0
-    """where the path is at most this long."""
+    """where the path is at most this long. Paid instead of charged, waiting in front of the target would be worth more than
+    success."""
     nav_success: float = 10.0
     pick_success: float = 2.0
     place_success: float = 10.0

@@ -68,8 +68,8 @@ class Train:
     seed: int = 0
     """Everything random follows from it."""
     minutes: float | None = None
-    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30, skills 10 to
-    20)."""
+    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30, skills 10
+    to 20)."""
     updates: int | None = None
     """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
     stop_after: float | None = None

@@ -29,9 +29,9 @@ class SkillSettings(Settings):
     """Episodes of rearrangement, each with as many objects and goals to get to."""
     starts: int = 32
     """Of the robot in each of them."""
-    path_m: tuple[float, float] = (0.0, 1000.0)
-    """Least and greatest length of the path to the target at the start. Shorter ones than those with which the skill is judged
-    let it learn the end first."""
+    path_m: tuple[float, float] = (0.0, 20.0)
+    """Least and greatest length of the path to the target at the start [m]. Shorter ones than those with which the skill is
+    judged let it learn the end first."""
     limit: int = 300
     """An episode is cut short after so many steps, as if its time were over: what a robot does that is stuck teaches little."""
     observations: tuple[str, ...] = OF_THE_BASE

@@ -227,7 +227,7 @@ class SkillTensors:
         straight, cosine = self._facing(now)
         success = (straight < rules.near_m) & (now.way < rules.near_m) & (cosine > rules.facing_dot)
         reward = before.way.clamp_max(FAR_M) - now.way.clamp_max(FAR_M) + rules.nav_success * success
-        reward = reward + torch.where(now.way <= rules.facing_within_m, rules.facing * cosine, 0.0)
+        reward = reward + torch.where(now.way <= rules.facing_within_m, rules.facing * (cosine - 1.0), 0.0)
         reward = reward - rules.contact * now.robot.contact - 2 * rules.slack
         return reward, success, torch.zeros_like(success), torch.zeros_like(success)
 

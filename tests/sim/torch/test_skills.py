@@ -42,9 +42,7 @@ def starts_of(episode: RearrangeEpisode, skill: Skill, count: int = 4, **options
 
 def worlds(episode: RearrangeEpisode, skill: Skill, starts: list[SkillStart]) -> tuple[SkillTensors, SkillPlay]:
     """All starts, one world each, at the beginning."""
-    sim = SkillTensors(
-        skill, SkillBank.of([(episode, episode.free, starts)]), device="cpu", dtype=torch.float64
-    )
+    sim = SkillTensors(skill, SkillBank.of([(episode, episode.free, starts)]), device="cpu", dtype=torch.float64)
     play = sim.before_the_first(torch.arange(len(starts)) - 1)
     return sim, sim.step(play, torch.zeros(len(starts), sim.action_width, dtype=torch.float64))
 
@@ -217,7 +215,9 @@ def test_starts_are_as_far_away_as_asked(episode: RearrangeEpisode) -> None:
         assert found
         for start in found:
             assert least <= float(episode.free.geodesic(start.xz, start.stand_xz)) <= most
-            assert start.holds == (skill == "place" or not np.allclose(start.point, episode.targets[start.target].start[:3]))
+            assert start.holds == (
+                skill == "place" or not np.allclose(start.point, episode.targets[start.target].start[:3])
+            )
 
 
 def test_a_command_that_is_not_finite_counts_as_nothing(episode: RearrangeEpisode) -> None:
