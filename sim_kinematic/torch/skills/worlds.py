@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from h3data.bodies import load_robot
+from h3data.bodies import Robot, load_robot
 from h3data.errors import InputError
+from h3data.geometry import Array
+from sim_kinematic.agents.robots.hand_reach import hand_target, reach_distances, reach_posture
 from sim_kinematic.avoidance.robot_base import base_of, carrying_base_of
 from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SkillSpec
 from sim_kinematic.sensing.sensor import FAR_M
@@ -29,6 +31,8 @@ from sim_kinematic.torch.step import Grids, heading_direction
 
 NOTHING = -1
 """Held by an empty hand."""
+TABLE_M = 0.75
+"""Height of a table."""
 
 
 class SkillPlay(NamedTuple):
@@ -75,6 +79,17 @@ class SkillPlay(NamedTuple):
             yield from (part if isinstance(part, tuple) else (part,))
 
 
+def _reaching(robot: Robot) -> Array:
+    """Joints of a robot's arm that reach for what lies in the middle of its range on a table, [n]; where there is no such
+    range, at rest but for a little."""
+    distances = reach_distances(robot, TABLE_M)
+    columns = list(robot.require_arm())
+    if not len(distances):
+        return robot.rest[columns] + 1e-3
+    target = hand_target(robot, float(distances[len(distances) // 2]), TABLE_M)
+    return reach_posture(robot, target).joint_pos[columns]
+
+
 class SkillTensors:
     """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
 
@@ -109,6 +124,8 @@ class SkillTensors:
         self.lattices = Lattices.of(bank.floors, self.device, dtype)
         self.rest = self.arm.hand(self.arm.rest[None]).point[0]
         """Where the hand is at rest in the agent root frame, [3]."""
+        self.reaching = torch.as_tensor(_reaching(body), dtype=dtype, device=self.device)
+        """Joints of the arm in a posture from which what lies on furniture is within reach, [n]."""
 
         def on_device(rows: Any) -> Tensor:
             tensor = torch.as_tensor(rows, device=self.device)
@@ -232,16 +249,31 @@ class SkillTensors:
         return reward, success, torch.zeros_like(success), torch.zeros_like(success)
 
     def _nearer(self, before: SkillPlay, now: SkillPlay) -> Tensor:
-        """By how much the hand has come nearer to the target, along the path and from its end [W] [m]."""
+        """By how much the hand has come nearer to the target, along the path and from its end [W] [m], and the arm to reaching
+        for it."""
         paths = before.way.clamp_max(FAR_M) - now.way.clamp_max(FAR_M)
-        return paths + before.apart - now.apart
+        return paths + before.apart - now.apart + self.rules.unfolding * (self._unfolded(now) - self._unfolded(before))
+
+    def _unfolded(self, play: SkillPlay) -> Tensor:
+        """How far the arm is from rest to reaching, 0..1 [W]; 0 where the target is not near."""
+        near = (1.0 - play.way / self.rules.unfolding_m).clamp_min(0.0)
+        return near * (1.0 - self._off(play.joints, self.reaching))
+
+    def _folded_back(self, before: SkillPlay, now: SkillPlay) -> Tensor:
+        """By how much the hand has come nearer to where it is at rest [W] [m], and the arm's joints with it."""
+        joints = self._off(before.joints, self.arm.rest) - self._off(now.joints, self.arm.rest)
+        return before.folded - now.folded + self.rules.unfolding * joints
+
+    def _off(self, joints: Tensor, posture: Tensor) -> Tensor:
+        """How far joints [W, n] are from a posture [n], in parts of the way between rest and reaching, [W]."""
+        return (joints - posture).abs().sum(-1) / (self.reaching - self.arm.rest).abs().sum()
 
     def _pick(self, before: SkillPlay, now: SkillPlay) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         rules, target = self.rules, self._target[now.episode]
         holds = now.held == target
         success = holds & (now.folded < rules.rest_m)
         lost = ((now.held != NOTHING) & ~holds) | ((before.held == target) & ~holds)
-        moved = torch.where(before.held == target, before.folded - now.folded, self._nearer(before, now))
+        moved = torch.where(before.held == target, self._folded_back(before, now), self._nearer(before, now))
         reward = moved + rules.pick_success * success - rules.lost * lost - rules.slack
         return reward, success, lost, torch.zeros_like(success)
 
@@ -252,7 +284,7 @@ class SkillTensors:
         is_placed = (now.held == NOTHING) & (gap < rules.place_m)
         lost = (now.held != target) & ~is_placed
         success = is_placed & (now.folded < rules.rest_m)
-        moved = torch.where(is_placed, before.folded - now.folded, self._nearer(before, now))
+        moved = torch.where(is_placed, self._folded_back(before, now), self._nearer(before, now))
         reward = moved + rules.place_success * success + rules.placed * (is_placed & ~before.paid) - rules.slack
         return reward, success, lost, before.paid | is_placed
 

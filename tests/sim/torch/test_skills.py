@@ -72,7 +72,7 @@ def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Ski
     starts = starts_of(episode, skill)
     if skill == "pick":  # something to take without getting there first
         hand = play_of(episode, starts[0], {}).robots[0].hand_pose[:3]
-        starts[0].objects[0] = hand + [0.05, 0.0, 0.05]
+        starts[0].objects[0] = hand + np.array([0.05, 0.0, 0.05])
     sim, now = worlds(episode, skill, starts)
     plays = [play_of(episode, start, {}) for start in starts]
     turns = [Turns(play) for play in plays]
