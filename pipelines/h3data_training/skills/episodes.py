@@ -49,7 +49,7 @@ def _home_bank(task: tuple[SkillSettings, str, int]) -> SkillBank | None:
         body = roster[0].body
         floor = floor_of(body, base_of(body, rules.robot), home.scene, home.free)
         rng = np.random.default_rng(episode_seed(seed, k))
-        starts = draw_starts(episode, settings.skill, settings.starts, rng, path_m=settings.path_m, for_training=True)
+        starts = draw_starts(episode, settings.skill, settings.starts, rng, path_m=settings.path_m, any_spot=True)
         _ = floor.lattice  # built at first use, and needed on the device
         found.append((episode, floor, starts))
     return SkillBank.of(found) if any(starts for *_, starts in found) else None

@@ -13,9 +13,9 @@ from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, check
 
 OF_THE_BASE = ("target_gps_compass", "way", "range_scan", "egomotion")
 OF_THE_ARM = (*OF_THE_BASE, "target_sensor", "resting_sensor", "arm_joints", "is_holding")
-GRIPS = 1.0
-"""The command of the hand around which an actor explores at first: one that lets go at random never gets to know what comes
-after."""
+GRIPS: dict[Skill, float] = {"pick": 2.0, "place": 1.6}
+"""The command of the hand around which an actor explores at first. One that lets go at random never gets to know what comes
+after: around 1, robots learned not to take anything, since they dropped it again."""
 UNUSED = ("human", "walk", "follow_steps", "near_m", "critic_updates")
 """Settings of social navigation that mean nothing here."""
 
@@ -29,7 +29,7 @@ class SkillSettings(Settings):
     """Episodes of rearrangement, each with as many objects and goals to get to."""
     starts: int = 32
     """Of the robot in each of them."""
-    path_m: tuple[float, float] = (0.0, 20.0)
+    path_m: tuple[float, float] = (0.0, 1000.0)
     """Least and greatest length of the path to the target at the start [m]. Shorter ones than those with which the skill is
     judged let it learn the end first."""
     limit: int = 300
@@ -62,7 +62,11 @@ class SkillSettings(Settings):
     @property
     def first_action(self) -> tuple[float, ...]:
         still = (0.0,) * BASE_ACTIONS
-        return still if self.skill == "nav" else (*still, *(0.0 for _ in load_robot(self.robot).require_arm()), GRIPS)
+        return (
+            still
+            if self.skill == "nav"
+            else (*still, *(0.0 for _ in load_robot(self.robot).require_arm()), GRIPS[self.skill])
+        )
 
     def as_dict(self) -> dict[str, Any]:
         return {name: value for name, value in super().as_dict().items() if name not in UNUSED}

@@ -23,8 +23,6 @@ Skill = Literal["nav", "pick", "place"]
 SKILL_NAMES: tuple[Skill, ...] = get_args(Skill)
 CANDIDATES = 64
 """Floor points that are looked at for one start."""
-NEAREST_M = 0.3
-"""Starts are drawn from ranges that are at least this wide."""
 ROUNDS = 8
 """Attempts, each with as many, before a spot is given up."""
 
@@ -67,7 +65,7 @@ def distances_of(skill: Skill, rules: SkillSpec) -> tuple[float, float]:
 
 def draw_starts(
     episode: RearrangeEpisode, skill: Skill, count: int, rng: np.random.Generator, *, robot: int = 0,
-    path_m: tuple[float, float] | None = None, for_training: bool = False, rules: SkillSpec | None = None,
+    path_m: tuple[float, float] | None = None, any_spot: bool = False, rules: SkillSpec | None = None,
 ) -> list[SkillStart]:  # fmt: skip
     """So many starts of a robot of an episode for one skill; fewer where there is no room.
 
@@ -78,8 +76,7 @@ def draw_starts(
         rng: Decides.
         robot: Number of the agent.
         path_m: Least and greatest length of the path to the nearest stand; None: those with which the skill is judged.
-        for_training: Whether objects may be picked up at their goals, and put down where they lay, so that there is more to
-            learn; and starts near the target are as frequent as far ones, of which a floor has more.
+        any_spot: Whether objects may be picked up at their goals, and put down where they lay, so that there is more to learn.
         rules: Of the skills.
     """
     body = episode.roster[robot].body
@@ -91,7 +88,7 @@ def draw_starts(
     lies = np.array([target.start[:3] for target in episode.targets])
     found: list[SkillStart] = []
     spots = [(k, at_goal) for k in range(len(lies)) for at_goal in (False, True)]
-    if not for_training:
+    if not any_spot:
         spots = [(k, at_goal) for k, at_goal in spots if skill == "nav" or at_goal == (skill == "place")]
     stands: dict[tuple[int, bool], Array] = {}
     for number in rng.permutation(count):
@@ -100,8 +97,7 @@ def draw_starts(
         if (k, at_goal) not in stands:
             ring = robot_stands(floor, body, base, point)
             stands[k, at_goal] = ring[[clearance.is_open(stand, point) for stand in ring]] if len(ring) else ring
-        farthest = least + (most - least) * rng.random() if for_training else most
-        place = _place(floor, stands[k, at_goal], rng, least, max(farthest, least + NEAREST_M), fits)
+        place = _place(floor, stands[k, at_goal], rng, least, most, fits)
         if place is None:
             continue
         stand = stands[k, at_goal][nearest_stand(floor, stands[k, at_goal], place[:2])[0]]
