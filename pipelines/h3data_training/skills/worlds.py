@@ -37,7 +37,8 @@ class HeldSkills:
             )
         self.hold, self.num_envs, self.device = hold or settings.hold, count or settings.worlds, torch.device(device)
         self.limit = settings.limit
-        self.sim = SkillTensors(settings.skill, bank, device=device, dtype=torch.float32, robot=settings.robot)
+        starts = bank.with_near(settings.near_share)
+        self.sim = SkillTensors(settings.skill, starts, device=device, dtype=torch.float32, robot=settings.robot)
         self._names = tuple(dict.fromkeys((*settings.observations, *settings.critic)))
         worlds, where = self.num_envs, self.device
         self.play = self.sim.before_the_first(torch.full((worlds,), -1, dtype=torch.int64, device=where))

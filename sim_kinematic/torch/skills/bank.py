@@ -4,7 +4,7 @@ furniture) is done once on the host, so that steps on a device only look it up."
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,17 @@ class SkillBank:
             place=np.concatenate([bank.place + n for bank, n in zip(banks, first[:-1], strict=True)]),
             **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
         )
+
+    def with_near(self, share: float, *, within_m: float = 1.0) -> SkillBank:
+        """The same starts, those within a distance of their stands repeated until they make up a share of all; as it is where
+        there are none, or enough."""
+        near = np.hypot(*(self.xz - self.stand).T) < within_m
+        missing = int(share * (~near).sum() / (1.0 - share)) - int(near.sum())
+        if not near.any() or missing <= 0:
+            return self
+        rows = np.concatenate([np.arange(len(self)), np.resize(np.flatnonzero(near), missing)])
+        columns = ("place", "xz", "heading", "objects", "target", "holds", "point", "stand")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def __len__(self) -> int:
         return len(self.place)

@@ -34,13 +34,21 @@ class Drive:
         it, as `sim_kinematic.agents.robots.driving.RobotDriver` has it."""
         if self.carrying is self.base:
             return torch.zeros_like(holds)
-        forward = heading_direction(robot.heading)
-        room = least_clearance(self.grids.at(place), robot.xz, forward, self.carrying.disc_offsets_m)
-        return holds & (wide | (room >= self.carrying.disc_radius_m))
+        if _on_cpu(robot):  # hardly any has just taken something
+            found, rows = holds & wide, (holds & ~wide).nonzero()[:, 0]
+            found[rows] = self._has_room(place[rows], robot.xz[rows], robot.heading[rows])
+            return found
+        return holds & (wide | self._has_room(place, robot.xz, robot.heading))
+
+    def _has_room(self, place: Tensor, xz: Tensor, heading: Tensor) -> Tensor:
+        """Whether the discs of bases that carry something are clear of obstacles, bool [W]."""
+        forward = heading_direction(heading)
+        room = least_clearance(self.grids.at(place), xz, forward, self.carrying.disc_offsets_m)
+        return room >= self.carrying.disc_radius_m
 
     def step(self, place: Tensor, robot: RobotTensors, action: Tensor, wide: Tensor) -> RobotTensors:
         """The robots after ``action`` [W, 2], in the homes ``place`` [W]."""
-        if robot.xz.device.type == "cpu" and not torch.compiler.is_compiling():
+        if _on_cpu(robot):
             return self._step_on_cpu(place, robot, action, wide)
         grids = self.grids.at(place)
         narrow = drive_robots(grids, robot, action, self.base)
@@ -72,3 +80,8 @@ class Drive:
                 moved = drive_robots(grids, some, command[near], base)
                 xz[rows[near]], heading[rows[near]], contact[rows[near]] = moved
         return RobotTensors(xz, heading, contact)
+
+
+def _on_cpu(robot: RobotTensors) -> bool:
+    """Whether tensors may be looked at for free, and worlds chosen by what is in them."""
+    return robot.xz.device.type == "cpu" and not torch.compiler.is_compiling()

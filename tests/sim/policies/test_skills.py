@@ -196,7 +196,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, episode: RearrangeEpisode
     for task in SHOWN:
         turns = [0.5, 0.3] if task == "skill_nav" else [0.0, 0.3, *[0.1] * 7, 1.0]
         save_pictured(constant(task, turns), runs / f"{task}.npz")
-    played = replace(episode, spec=replace(episode.spec, skills=str(runs), max_steps=400))
+    played = replace(episode, spec=replace(episode.spec, skills=str(runs), max_steps=120))
     return simulate(Rearrange(), played, {"robot": "greedy_nearest", "human": "still"})
 
 
