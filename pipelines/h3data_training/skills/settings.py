@@ -79,7 +79,7 @@ class SkillSettings(Settings):
 
 _TINY = SkillSettings(
     picture_size=(32, 24), worlds=512, rollout=16, hidden=48, act_width=64, critic_width=128, channels=(8, 16, 16),
-    features=32, rate=2e-3, entropy=0.0, auxiliary=0.0, horizon=(100.0, 300.0), minutes=10.0,
+    features=32, rate=1.5e-3, warmup_updates=5, epochs=6, entropy=0.0, auxiliary=0.0, horizon=(100.0, 300.0), minutes=10.0,
 )  # fmt: skip
 RECIPES: dict[str, dict[Skill, SkillSettings]] = {
     "tiny": {

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from h3data.bodies import Robot, load_robot
 from h3data.errors import InputError
 from h3data.geometry import Array
-from sim_kinematic.agents.robots.hand_reach import hand_target, reach_distances, reach_posture
+from sim_kinematic.agents.robots.hand_reach import hand_target, reach_posture
 from sim_kinematic.avoidance.robot_base import base_of, carrying_base_of
 from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SkillSpec
 from sim_kinematic.sensing.sensor import FAR_M
@@ -31,8 +32,6 @@ from sim_kinematic.torch.step import Grids, heading_direction
 
 NOTHING = -1
 """Held by an empty hand."""
-TABLE_M = 0.75
-"""Height of a table."""
 
 
 class SkillPlay(NamedTuple):
@@ -79,15 +78,14 @@ class SkillPlay(NamedTuple):
             yield from (part if isinstance(part, tuple) else (part,))
 
 
-def _reaching(robot: Robot) -> Array:
-    """Joints of a robot's arm that reach for what lies in the middle of its range on a table, [n]; where there is no such
-    range, at rest but for a little."""
-    distances = reach_distances(robot, TABLE_M)
-    columns = list(robot.require_arm())
-    if not len(distances):
-        return robot.rest[columns] + 1e-3
-    target = hand_target(robot, float(distances[len(distances) // 2]), TABLE_M)
-    return reach_posture(robot, target).joint_pos[columns]
+def _reaching(robot: Robot, bank: SkillBank) -> Array:
+    """Joints of a robot's arm that reach for each target of a bank from its stand, [N, n]."""
+    columns, floors = list(robot.require_arm()), np.array([floor.floor_y for floor in bank.floors])
+    distances = np.hypot(*(bank.point[:, [0, 2]] - bank.stand).T).round(2)
+    heights = (bank.point[:, 1] - floors[bank.place]).round(2)
+    spots, which = np.unique(np.stack([distances, heights], 1), axis=0, return_inverse=True)
+    targets = np.stack([hand_target(robot, distance, height) for distance, height in spots.tolist()])
+    return reach_posture(robot, targets).joint_pos[:, columns][which.ravel()]
 
 
 class SkillTensors:
@@ -124,8 +122,7 @@ class SkillTensors:
         self.lattices = Lattices.of(bank.floors, self.device, dtype)
         self.rest = self.arm.hand(self.arm.rest[None]).point[0]
         """Where the hand is at rest in the agent root frame, [3]."""
-        self.reaching = torch.as_tensor(_reaching(body), dtype=dtype, device=self.device)
-        """Joints of the arm in a posture from which what lies on furniture is within reach, [n]."""
+        self._reaching = torch.as_tensor(_reaching(body, bank), dtype=dtype, device=self.device)
 
         def on_device(rows: Any) -> Tensor:
             tensor = torch.as_tensor(rows, device=self.device)
@@ -257,16 +254,17 @@ class SkillTensors:
     def _unfolded(self, play: SkillPlay) -> Tensor:
         """How far the arm is from rest to reaching, 0..1 [W]; 0 where the target is not near."""
         near = (1.0 - play.way / self.rules.unfolding_m).clamp_min(0.0)
-        return near * (1.0 - self._off(play.joints, self.reaching))
+        return near * (1.0 - self._off(play, self._reaching[play.episode]))
 
     def _folded_back(self, before: SkillPlay, now: SkillPlay) -> Tensor:
         """By how much the hand has come nearer to where it is at rest [W] [m], and the arm's joints with it."""
-        joints = self._off(before.joints, self.arm.rest) - self._off(now.joints, self.arm.rest)
+        joints = self._off(before, self.arm.rest) - self._off(now, self.arm.rest)
         return before.folded - now.folded + self.rules.unfolding * joints
 
-    def _off(self, joints: Tensor, posture: Tensor) -> Tensor:
-        """How far joints [W, n] are from a posture [n], in parts of the way between rest and reaching, [W]."""
-        return (joints - posture).abs().sum(-1) / (self.reaching - self.arm.rest).abs().sum()
+    def _off(self, play: SkillPlay, posture: Tensor) -> Tensor:
+        """How far joints are from a posture [n] or [W, n], in parts of the way between rest and reaching, [W]."""
+        whole = (self._reaching[play.episode] - self.arm.rest).abs().sum(-1).clamp_min(0.1)
+        return (play.joints - posture).abs().sum(-1) / whole
 
     def _pick(self, before: SkillPlay, now: SkillPlay) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         rules, target = self.rules, self._target[now.episode]
