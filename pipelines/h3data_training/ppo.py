@@ -45,6 +45,10 @@ class Worlds(Protocol):
         """
         ...
 
+    def taught(self) -> Tensor:
+        """What a teacher would do now, [W, A]."""
+        ...
+
     def figures(self, total: dict[str, float]) -> dict[str, float]:
         """Columns of the learning curve that follow from the totals by name."""
         ...
@@ -71,6 +75,8 @@ class Schedule(NamedTuple):
     """Discount of one decision."""
     acts: bool = True
     """Whether the actor learns, or only the critic, which is new where the actor is not."""
+    teacher: float = 0.0
+    """Weight of what a teacher would do."""
 
 
 def schedule(settings: Settings, share: float, update: int) -> Schedule:
@@ -78,8 +84,9 @@ def schedule(settings: Settings, share: float, update: int) -> Schedule:
     s = settings
     acting = update - s.critic_updates
     warm = min(1.0, (acting + 1) / max(s.warmup_updates, 1)) if acting >= 0 else 1.0
+    teacher = s.teacher * max(1 - share / s.teacher_end, 0.0)
     ahead = s.horizon[0] + share * (s.horizon[1] - s.horizon[0])
-    return Schedule(s.rate * (1 - (1 - s.rate_end) * share) * warm, 1 - s.hold / ahead, acting >= 0)
+    return Schedule(s.rate * (1 - (1 - s.rate_end) * share) * warm, 1 - s.hold / ahead, acting >= 0, teacher)
 
 
 class Learner:
@@ -113,7 +120,7 @@ class Learner:
         first = self.memory.state.clone()
         last = self._collect(plan.gamma)
         advantages, targets, explained = self._advantages(last, plan.gamma)
-        learned = self._learn(first, advantages, targets, acts=plan.acts)
+        learned = self._learn(first, advantages, targets, plan)
         total = dict(zip(self.worlds.counts, self.ranks.sum(self.worlds.totals).tolist(), strict=True))
         return {
             **self.worlds.figures(total), "explained": explained, **learned,
@@ -143,6 +150,8 @@ class Learner:
                 "action": action, "mean": mean, "begins": m.over, "far": m.shown["way"][:, 0] > s.near_m,
                 "log_prob": (-0.5 * noise.square() - std.log()).sum(1),
             }  # fmt: skip
+            if s.teacher:
+                row["taught"] = self.worlds.taught()
             m.shown, gain, m.over, timed_out, idle = self.worlds.held(action)
             # rewards are paid per step and scaled so that values stay near what one step pays, whatever the horizon
             row |= {"gain": (1 - gamma) / s.hold * gain, "over": m.over, "timed_out": timed_out, "valid": ~idle}
@@ -179,8 +188,8 @@ class Learner:
         return scaled, target, float(explained)
 
     # --- learning ---------------------------------------------------------------------------------------------------------
-    def _learn(self, first: Tensor, advantages: Tensor, targets: Tensor, *, acts: bool) -> dict[str, float]:
-        s, net, kept = self.settings, self.net, self._kept
+    def _learn(self, first: Tensor, advantages: Tensor, targets: Tensor, plan: Schedule) -> dict[str, float]:
+        s, net, kept, acts = self.settings, self.net, self._kept, plan.acts
         parameters = list(net.parameters())
         device, valid = first.device, kept["valid"].float()
         sums = torch.zeros(4, device=device)
@@ -204,6 +213,8 @@ class Learner:
                 loss = wrong + s.auxiliary * guess
                 if acts:
                     loss = wrong - worth - s.entropy * std.log().sum() + s.auxiliary * guess + 0.01 * beyond
+                if plan.teacher:
+                    loss = loss + plan.teacher * (mean - kept["taught"][:, rows]).square().mean()
                 self.optimizer.zero_grad(set_to_none=True)
                 loss.backward()
                 self.ranks.average_gradients(parameters)

@@ -69,6 +69,10 @@ class Settings:
     gae_lambda: float = 0.95
     clip: float = 0.2
     gradient_norm: float = 1.0
+    teacher: float = 0.0
+    """Weight of what a scripted teacher would do, at the start; where a task has one."""
+    teacher_end: float = 0.6
+    """Share of the run at which that weight has come down to 0."""
     auxiliary: float = 0.5
     """Weight of the head that predicts the critic's inputs from the recurrent state."""
     near_m: float = 3.0

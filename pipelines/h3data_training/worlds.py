@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError
 from h3data.render import Output
 from h3data.scene import Scene
 from h3data_training.episodes import rules
@@ -137,6 +138,10 @@ class HeldWorlds(SocialNavTorchEnv):
             "reward": total["reward"] / steps, "follows": total["follows"] / steps, "collided": total["collided"] / ended,
             "met": total["met"] / ended, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
         }  # fmt: skip
+
+    def taught(self) -> Tensor:
+        """Nobody teaches social navigation."""
+        raise InputError("There is no teacher of social navigation. Hint: teacher=0.")
 
     def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
         """As of `h3data_training.ppo.Worlds`."""

@@ -231,8 +231,3 @@ class SkillSpec:
     """For putting the object at its goal, once."""
     lost: float = 0.5
     """Cost of taking another object or dropping the right one, which ends ``pick``."""
-    unfolding: float = 3.0
-    """Beyond the paper's rewards: worth of bringing the arm's joints to where they reach the target, at most `unfolding_m` from
-    there, and back afterwards. A folded arm has to move three joints together before its hand gets nearer to anything: without
-    this, no object was picked in a million decisions."""
-    unfolding_m: float = 1.0

@@ -34,7 +34,7 @@ class SkillSettings(Settings):
     judged let it learn the end first."""
     near_share: float = 0.0
     """Share of starts within a metre of where the target is reached from. A robot that has to get there first seldom gets to
-    know what comes then: with half of them, objects are picked after a tenth of the decisions."""
+    know what comes then."""
     limit: int = 300
     """An episode is cut short after so many steps, as if its time were over: what a robot does that is stuck teaches little."""
     observations: tuple[str, ...] = OF_THE_BASE
@@ -84,9 +84,25 @@ _TINY = SkillSettings(
 RECIPES: dict[str, dict[Skill, SkillSettings]] = {
     "tiny": {
         "nav": _TINY,
-        "pick": replace(_TINY, skill="pick", observations=OF_THE_ARM, path_m=(0.0, 5.0), near_share=0.5, minutes=20.0),
+        "pick": replace(
+            _TINY,
+            skill="pick",
+            observations=OF_THE_ARM,
+            path_m=(0.0, 5.0),
+            near_share=0.5,
+            teacher=1.0,
+            std=0.4,
+            minutes=20.0,
+        ),
         "place": replace(
-            _TINY, skill="place", observations=OF_THE_ARM, path_m=(0.0, 5.0), near_share=0.5, minutes=20.0
+            _TINY,
+            skill="place",
+            observations=OF_THE_ARM,
+            path_m=(0.0, 5.0),
+            near_share=0.5,
+            teacher=1.0,
+            std=0.4,
+            minutes=20.0,
         ),
     },
 }

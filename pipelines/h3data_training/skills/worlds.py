@@ -12,6 +12,7 @@ from h3data_training.skills.settings import SkillSettings
 from sim_kinematic.torch.graph import can_fuse, captured, fused
 from sim_kinematic.torch.random import keys, random
 from sim_kinematic.torch.skills.bank import SkillBank
+from sim_kinematic.torch.skills.teacher import taught
 from sim_kinematic.torch.skills.worlds import SkillTensors
 
 COUNTS = ("reward", "succeeded", "failed", "ended", "steps", "contact", "holding")
@@ -100,6 +101,11 @@ class HeldSkills:
             self._action.copy_(action)
             self._advance()
         return self._result(), self.gain.clone(), self.over.clone(), self.timed_out.clone(), self.idle.clone()
+
+    def taught(self) -> Tensor:
+        """As of `h3data_training.ppo.Worlds`."""
+        with torch.no_grad():
+            return taught(self.sim, self.play, self.hold)
 
     def _result(self) -> dict[str, Tensor]:
         return {name: tensor.clone() for name, tensor in self._shown.items()}

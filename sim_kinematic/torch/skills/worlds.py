@@ -246,32 +246,16 @@ class SkillTensors:
         return reward, success, torch.zeros_like(success), torch.zeros_like(success)
 
     def _nearer(self, before: SkillPlay, now: SkillPlay) -> Tensor:
-        """By how much the hand has come nearer to the target, along the path and from its end [W] [m], and the arm to reaching
-        for it."""
+        """By how much the hand has come nearer to the target, along the path and from its end [W] [m]."""
         paths = before.way.clamp_max(FAR_M) - now.way.clamp_max(FAR_M)
-        return paths + before.apart - now.apart + self.rules.unfolding * (self._unfolded(now) - self._unfolded(before))
-
-    def _unfolded(self, play: SkillPlay) -> Tensor:
-        """How far the arm is from rest to reaching, 0..1 [W]; 0 where the target is not near."""
-        near = (1.0 - play.way / self.rules.unfolding_m).clamp_min(0.0)
-        return near * (1.0 - self._off(play, self._reaching[play.episode]))
-
-    def _folded_back(self, before: SkillPlay, now: SkillPlay) -> Tensor:
-        """By how much the hand has come nearer to where it is at rest [W] [m], and the arm's joints with it."""
-        joints = self._off(before, self.arm.rest) - self._off(now, self.arm.rest)
-        return before.folded - now.folded + self.rules.unfolding * joints
-
-    def _off(self, play: SkillPlay, posture: Tensor) -> Tensor:
-        """How far joints are from a posture [n] or [W, n], in parts of the way between rest and reaching, [W]."""
-        whole = (self._reaching[play.episode] - self.arm.rest).abs().sum(-1).clamp_min(0.1)
-        return (play.joints - posture).abs().sum(-1) / whole
+        return paths + before.apart - now.apart
 
     def _pick(self, before: SkillPlay, now: SkillPlay) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         rules, target = self.rules, self._target[now.episode]
         holds = now.held == target
         success = holds & (now.folded < rules.rest_m)
         lost = ((now.held != NOTHING) & ~holds) | ((before.held == target) & ~holds)
-        moved = torch.where(before.held == target, self._folded_back(before, now), self._nearer(before, now))
+        moved = torch.where(before.held == target, before.folded - now.folded, self._nearer(before, now))
         reward = moved + rules.pick_success * success - rules.lost * lost - rules.slack
         return reward, success, lost, torch.zeros_like(success)
 
@@ -282,9 +266,31 @@ class SkillTensors:
         is_placed = (now.held == NOTHING) & (gap < rules.place_m)
         lost = (now.held != target) & ~is_placed
         success = is_placed & (now.folded < rules.rest_m)
-        moved = torch.where(is_placed, self._folded_back(before, now), self._nearer(before, now))
+        moved = torch.where(is_placed, before.folded - now.folded, self._nearer(before, now))
         reward = moved + rules.place_success * success + rules.placed * (is_placed & ~before.paid) - rules.slack
         return reward, success, lost, before.paid | is_placed
+
+    # --- for those who look on ----------------------------------------------------------------------------------------
+    def points(self, play: SkillPlay) -> Tensor:
+        """Where targets lie or are to go, [W, 3] [m]."""
+        return self._point[play.episode]
+
+    def targets(self, play: SkillPlay) -> Tensor:
+        """Numbers of the objects, [W]."""
+        return self._target[play.episode]
+
+    def floors(self, play: SkillPlay) -> Tensor:
+        """Heights of the floors, [W] [m]."""
+        return self._floor_y[self._place[play.episode]]
+
+    def reaching(self, play: SkillPlay) -> Tensor:
+        """Joints of the arm that reach for the targets from their stands, [W, n]."""
+        return self._reaching[play.episode]
+
+    def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
+        """How far joints are from a posture [n] or [W, n], in parts of the way between rest and reaching, [W]."""
+        whole = (self.reaching(play) - self.arm.rest).abs().sum(-1).clamp_min(0.1)
+        return (play.joints - posture).abs().sum(-1) / whole
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def observations(self, names: Sequence[str], play: SkillPlay) -> dict[str, Tensor]:
