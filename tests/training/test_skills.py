@@ -16,6 +16,7 @@ from h3data_pipelines.cli import main
 from h3data_training import run as runs
 from h3data_training.curve import curve_of
 from h3data_training.networks import ActorCritic, actor_numbers
+from h3data_training.ppo import schedule
 from h3data_training.run import POLICY, train
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import OF_THE_ARM, SkillSettings, skill_recipe
@@ -113,7 +114,7 @@ def test_episodes_are_cut_short_and_count_once(bank: SkillBank) -> None:
     worlds = HeldSkills(replace(SMALL, limit=6), bank, device="cpu")
     worlds.reset(seed=[0, 1, 2, 3])
     still = torch.zeros(4, 10)
-    over = [worlds.held(still)[2:5] for _ in range(5)]  # six steps, then a decision that begins the next episode
+    over = [worlds.held(still)[2:5] for _ in range(3)]  # six steps, then a decision that begins the next episode
     begun, timed_out, idle = over[2]
     assert begun.all()
     assert timed_out.all()
@@ -148,3 +149,30 @@ def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.Captu
     ):
         assert main(["train", *words, "-o", str(tmp_path / "run")]) == 2
         assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("skill", ["nav", "pick", "place"])
+def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str) -> None:
+    own = replace(bank, holds=np.full(len(bank), skill == "place"))
+    worlds = HeldSkills(replace(SMALL, skill=skill, near_share=0.0), own, device="cpu")  # type: ignore[arg-type]
+    worlds.reset(seed=[0, 1, 2, 3])
+    for _ in range(80):
+        action = worlds.taught()
+        assert action.shape == (4, worlds.sim.action_width)
+        worlds.held(action)
+    total = dict(zip(HeldSkills.counts, worlds.totals.tolist(), strict=True))
+    assert total["succeeded"] >= 3
+    assert total["failed"] == 0
+
+
+def test_a_teachers_weight_comes_down_to_nothing() -> None:
+    weights = [schedule(SMALL, share, 10).teacher for share in (0.0, 0.3, 0.6, 1.0)]
+    assert weights == pytest.approx([1.0, 0.5, 0.0, 0.0])
+
+
+def test_starts_nearby_are_repeated(bank: SkillBank) -> None:
+    near = np.hypot(*(bank.xz - bank.stand).T) < 2.0
+    more = bank.with_near(0.9, within_m=2.0)
+    share = (np.hypot(*(more.xz - more.stand).T) < 2.0).mean()
+    assert near.mean() < share if 0 < near.mean() < 0.9 else len(more) == len(bank)
+    assert len(bank.with_near(0.0)) == len(bank)
