@@ -214,7 +214,7 @@ class Learner:
                 if acts:
                     loss = wrong - worth - s.entropy * std.log().sum() + s.auxiliary * guess + 0.01 * beyond
                 if plan.teacher:
-                    loss = loss + plan.teacher * (mean - kept["taught"][:, rows]).square().mean()
+                    loss = loss + plan.teacher * (mean - kept["taught"][:, rows]).square().sum(-1).mean()
                 self.optimizer.zero_grad(set_to_none=True)
                 loss.backward()
                 self.ranks.average_gradients(parameters)

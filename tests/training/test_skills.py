@@ -167,7 +167,7 @@ def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str) -> None:
 
 def test_a_teachers_weight_comes_down_to_nothing() -> None:
     weights = [schedule(SMALL, share, 10).teacher for share in (0.0, 0.3, 0.6, 1.0)]
-    assert weights == pytest.approx([1.0, 0.5, 0.0, 0.0])
+    assert weights == pytest.approx([3.0, 1.5, 0.0, 0.0])
 
 
 def test_starts_nearby_are_repeated(bank: SkillBank) -> None:

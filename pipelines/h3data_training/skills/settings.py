@@ -80,7 +80,7 @@ class SkillSettings(Settings):
 _TINY = SkillSettings(
     picture_size=(32, 24), worlds=512, rollout=16, hidden=48, act_width=64, critic_width=128, channels=(8, 16, 16),
     features=32, rate=1.5e-3, warmup_updates=5, epochs=6, entropy=0.0, std=0.4, auxiliary=0.0, horizon=(100.0, 300.0),
-    teacher=1.0, minutes=10.0,
+    teacher=3.0, minutes=10.0,
 )  # fmt: skip
 _ARM = replace(_TINY, skill="pick", observations=OF_THE_ARM, path_m=(0.0, 5.0), near_share=0.5)
 RECIPES: dict[str, dict[Skill, SkillSettings]] = {
