@@ -1,4 +1,4 @@
-"""Learning curves of runs of ``h3data train``, one line a run: docs/pictures/training.png, docs/pictures/populations.png.
+"""Learning curves of runs of ``h3data train``, one line a run: docs/pictures/training.png, populations.png, skills.png.
 
 python examples/training_picture.py OUT.png out/nav/0 out/nav/1 out/nav/2
 """
@@ -18,6 +18,10 @@ SOCIAL_NAV = {
 REARRANGE = {
     "success": ("share of episodes that succeed", 1.0),
     "steps_per_episode": ("thousands of steps of an episode", 1000.0),
+}
+SKILLS = {
+    "succeeded": ("share of ended episodes that succeed", 1.0),
+    "contact": ("share of steps in which the base touches something", 1.0),
 }
 COLORS = ((180, 119, 31), (14, 127, 255), (44, 160, 44), (189, 103, 148), (40, 39, 214), (75, 86, 140))
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 720, 420, 60, 50, 50
@@ -59,5 +63,6 @@ def drawn(name: str, title: str, scale: float) -> np.ndarray:
     return panel
 
 
-panels = REARRANGE if "success" in runs[0][0] else SOCIAL_NAV
+first = runs[0][0]
+panels = REARRANGE if "success" in first else SKILLS if "succeeded" in first else SOCIAL_NAV
 cv2.imwrite(str(out), np.hstack([drawn(name, *of) for name, of in panels.items()]))

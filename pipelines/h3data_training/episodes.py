@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from sim_kinematic.motion.spec import WALKERS, SocialNavSpec
 from sim_kinematic.torch.episodes import EpisodeBank
 
 MOST_WORKERS = 32
+Task, Bank = TypeVar("Task"), TypeVar("Bank")
 
 
 def rules(settings: Settings) -> SocialNavSpec:
@@ -45,23 +47,28 @@ def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> E
     """
     names = [named.name for named in named_scenes(settings.scenes)]
     tasks = [(settings, name, episode_seed(seed, k)) for k, name in enumerate(names)]
+    return merged(by_home(_home_bank, tasks, workers=workers))
+
+
+def by_home(make: Callable[[Task], Bank], tasks: Sequence[Task], *, workers: int | None = None) -> list[Bank]:
+    """What is made of each home, in several processes; None is one for each core, 1 makes it here."""
     count = min(workers or min(len(os.sched_getaffinity(0)), MOST_WORKERS), len(tasks))
-    banks: list[EpisodeBank] = []
+    banks: list[Bank] = []
     with progress(desc="homes", total=len(tasks), unit="home", delay=1.0, leave=False) as done:
 
-        def add(made: Iterable[EpisodeBank]) -> None:
+        def add(made: Iterable[Bank]) -> None:
             for bank in made:
                 banks.append(bank)
                 done.update()
 
         if count == 1 or len(tasks) <= 2:
-            add(map(_home_bank, tasks))
-            return merged(banks)
+            add(map(make, tasks))
+            return banks
         with ProcessPoolExecutor(count, mp_context=get_context("fork")) as pool:
             # one process compiles and leaves the code on disk for the others; not this one: threads do not survive a fork
-            add([pool.submit(_home_bank, tasks[0]).result()])
-            add(pool.map(_home_bank, tasks[1:]))
-    return merged(banks)
+            add([pool.submit(make, tasks[0]).result()])
+            add(pool.map(make, tasks[1:]))
+    return banks
 
 
 def _home_bank(task: tuple[Settings, str, int]) -> EpisodeBank:

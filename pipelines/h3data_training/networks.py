@@ -14,14 +14,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from h3data.errors import InputError
-from h3data_training.settings import CRITIC, Settings
+from h3data_training.settings import Settings
 from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM
 from sim_kinematic.policies.pictured import (
-    ENCODINGS,
     PATCH,
     SPEED_MPS,
     STRIDES,
     PicturedNetwork,
+    lengths,
     number_count,
     picture_length,
 )
@@ -35,24 +35,34 @@ def polar(seen: Tensor) -> Tensor:
     return torch.cat([d / 5, (-d / 2).exp(), (-d).exp(), a.cos(), a.sin(), a / math.pi], 1)
 
 
+def spot(seen: Tensor) -> Tensor:
+    """As `sim_kinematic.policies.pictured.spot`, [n, 3] -> [n, 8]."""
+    d = seen.square().sum(1, keepdim=True).sqrt()
+    return torch.cat([seen / SPEED_MPS, seen / (d + 0.1), (-2 * d).exp(), (-8 * d).exp()], 1)
+
+
 def _encoded(name: str, seen: Tensor) -> Tensor:
-    if name in ("humanoid_gps", "way"):
+    if name in ("humanoid_gps", "way", "target_gps_compass"):
         return polar(seen)
-    return seen if name == "humanoid_detector" else seen / SPEED_MPS
+    if name in ("target_sensor", "resting_sensor"):
+        return spot(seen)
+    if name == "arm_joints":
+        return seen / math.pi
+    return seen if name in ("humanoid_detector", "is_holding") else seen / SPEED_MPS
 
 
 def actor_numbers(shown: Shown, last: Tensor, names: tuple[str, ...]) -> Tensor:
-    """What the actor is told beside the picture, with the last action [n, 2]."""
+    """What the actor is told beside the picture, with the last action [n, A]."""
     return torch.cat([*(_encoded(n, shown[n]) for n in names if n != "arm_depth"), last], 1)
 
 
-def critic_numbers(shown: Shown, over: Tensor) -> Tensor:
+def critic_numbers(shown: Shown, over: Tensor, names: tuple[str, ...]) -> Tensor:
     """What the critic is told, and whether the episode is ``over`` [n]."""
-    return torch.cat([*(_encoded(n, shown[n]) for n in CRITIC), over[:, None].float()], 1)
+    return torch.cat([*(_encoded(n, shown[n]) for n in names), over[:, None].float()], 1)
 
 
-def critic_length() -> int:
-    return sum(ENCODINGS[name][2] for name in CRITIC) + 1
+def critic_length(settings: Settings) -> int:
+    return sum(lengths(name, settings.actions)[1] for name in settings.critic) + 1
 
 
 def picture(depth: Tensor) -> Tensor:
@@ -66,17 +76,20 @@ class ActorCritic(nn.Module):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__()
-        s, numbers = settings, number_count(settings.observations)
+        s, numbers = settings, number_count(settings.observations, settings.actions)
         self.least_std, self.sees = s.least_std, "arm_depth" in s.observations
         self.state_length = s.hidden
         last = self._make_actor(s, numbers)
-        told = critic_length()
+        told = critic_length(s)
         self.auxiliary = nn.Sequential(nn.Linear(s.hidden, 128), nn.ELU(), nn.Linear(128, told - 1))
-        self.log_std = nn.Parameter(torch.full((2,), math.log(s.std)))
-        self.worth = nn.Sequential(nn.Linear(told, 256), nn.ELU(), nn.Linear(256, 256), nn.ELU(), nn.Linear(256, 1))
+        self.log_std = nn.Parameter(torch.full((s.actions,), math.log(s.std)))
+        self.worth = nn.Sequential(
+            nn.Linear(told, s.critic_width), nn.ELU(), nn.Linear(s.critic_width, s.critic_width), nn.ELU(),
+            nn.Linear(s.critic_width, 1),
+        )  # fmt: skip
         with torch.no_grad():  # the first policy hardly moves: it explores by its noise, around standing still
             last.weight.mul_(0.05)
-            last.bias.zero_()
+            last.bias.copy_(torch.tensor(s.first_action))
 
     def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
         """Makes the layers of the actor and returns the last one."""
@@ -87,7 +100,9 @@ class ActorCritic(nn.Module):
             ).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
             self.picture = nn.Linear(s.channels[-1] * picture_length(s.picture_size), s.features)
         self.gru = nn.GRU((s.features if self.sees else 0) + numbers, s.hidden)
-        self.act = nn.Sequential(nn.Linear(s.hidden + numbers, 256), nn.ELU(), nn.Linear(256, 2))
+        self.act = nn.Sequential(
+            nn.Linear(s.hidden + numbers, s.act_width), nn.ELU(), nn.Linear(s.act_width, s.actions)
+        )
         last = self.act[-1]
         assert isinstance(last, nn.Linear)
         return last
@@ -116,11 +131,11 @@ class ActorCritic(nn.Module):
         return out, after[0]
 
     def head(self, known: Tensor, numbers: Tensor) -> Tensor:
-        """Mean actions [..., 2]."""
+        """Mean actions [..., A]."""
         return self.act(torch.cat([known, numbers], -1))
 
     def step(self, pixels: Tensor | None, numbers: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean actions [n, 2] and next states [n, S]."""
+        """Mean actions [n, A] and next states [n, S]."""
         out, state = self.remember(self.features(pixels, numbers)[None], state)
         return self.head(out[0], numbers), state
 
@@ -215,7 +230,7 @@ def begin_with(net: ActorCritic, policy: PicturedNetwork, settings: Settings) ->
     """
     card, s = policy.card, settings
     pairs = {
-        "network": (card.network, s.network),
+        "task": (card.task, s.task), "network": (card.network, s.network),
         "observations": (card.observations, s.observations), "robot": (card.robot, s.robot),
         "picture_size": (card.picture_size or s.picture_size, s.picture_size),
     }  # fmt: skip

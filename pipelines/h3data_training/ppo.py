@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -12,12 +13,45 @@ from torch.nn import functional as F
 from h3data_training.networks import actor_numbers, critic_numbers, network
 from h3data_training.ranks import Ranks
 from h3data_training.settings import Settings
-from h3data_training.worlds import COUNTS, HeldWorlds
 
 RANK_SEED = 1_000_003
 """Between the seeds of two processes' exploration noise."""
 BEYOND = 1.2
 """Mean actions beyond this are pulled back: past its limits a command changes nothing, so nothing else would."""
+
+
+class Worlds(Protocol):
+    """W worlds in which a decision holds an action for some steps; a world whose episode is over begins the next one."""
+
+    num_envs: int
+    device: torch.device
+    totals: Tensor
+    """Sums over worlds and steps, of `counts`."""
+
+    @property
+    def counts(self) -> tuple[str, ...]: ...
+    @property
+    def play(self) -> Any:
+        """Where all worlds are; it has ``tensors()`` and ``terminated`` [W]."""
+        ...
+
+    def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]: ...
+    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """Moves all worlds by an action [W, A].
+
+        Returns:
+            Observations; what was gained [W]; whether another episode began in these steps [W]; whether the one before it had
+            had all its steps [W]; whether the action counted for nothing because the episode was over before [W].
+        """
+        ...
+
+    def taught(self) -> Tensor:
+        """What a teacher would do now, [W, A]."""
+        ...
+
+    def figures(self, total: dict[str, float]) -> dict[str, float]:
+        """Columns of the learning curve that follow from the totals by name."""
+        ...
 
 
 @dataclass(eq=False)
@@ -28,7 +62,7 @@ class Memory:
     state: Tensor
     """Recurrent state, [W, S]."""
     last: Tensor
-    """Last action, clipped, [W, 2]; 0 where an episode has begun since."""
+    """Last action, clipped, [W, A]; 0 where an episode has begun since."""
     over: Tensor
     """An episode began in the last decision, bool [W]."""
 
@@ -41,6 +75,8 @@ class Schedule(NamedTuple):
     """Discount of one decision."""
     acts: bool = True
     """Whether the actor learns, or only the critic, which is new where the actor is not."""
+    teacher: float = 0.0
+    """Weight of what a teacher would do."""
 
 
 def schedule(settings: Settings, share: float, update: int) -> Schedule:
@@ -48,15 +84,16 @@ def schedule(settings: Settings, share: float, update: int) -> Schedule:
     s = settings
     acting = update - s.critic_updates
     warm = min(1.0, (acting + 1) / max(s.warmup_updates, 1)) if acting >= 0 else 1.0
+    teacher = s.teacher * max(1 - share / s.teacher_end, 0.0)
     ahead = s.horizon[0] + share * (s.horizon[1] - s.horizon[0])
-    return Schedule(s.rate * (1 - (1 - s.rate_end) * share) * warm, 1 - s.hold / ahead, acting >= 0)
+    return Schedule(s.rate * (1 - (1 - s.rate_end) * share) * warm, 1 - s.hold / ahead, acting >= 0, teacher)
 
 
 class Learner:
     """Actor, critic, optimizer and rollout buffers of one run; of several processes, each has a learner with its share of the
     worlds, and all come to the same weights."""
 
-    def __init__(self, settings: Settings, worlds: HeldWorlds, *, seed: int, ranks: Ranks | None = None) -> None:
+    def __init__(self, settings: Settings, worlds: Worlds, *, seed: int, ranks: Ranks | None = None) -> None:
         self.settings, self.worlds = settings, worlds
         self.ranks = ranks or Ranks()
         device = worlds.device
@@ -70,7 +107,7 @@ class Learner:
         self.memory = Memory(
             shown=worlds.reset(seed=[seed + first + w for w in range(count)])[0],
             state=torch.zeros(count, self.net.state_length, device=device),
-            last=torch.zeros(count, 2, device=device),
+            last=torch.zeros(count, settings.actions, device=device),
             over=torch.zeros(count, dtype=torch.bool, device=device),
         )
         self._kept: dict[str, Tensor] = {}
@@ -83,20 +120,21 @@ class Learner:
         first = self.memory.state.clone()
         last = self._collect(plan.gamma)
         advantages, targets, explained = self._advantages(last, plan.gamma)
-        learned = self._learn(first, advantages, targets, acts=plan.acts)
-        total = dict(zip(COUNTS, self.ranks.sum(self.worlds.totals).tolist(), strict=True))
-        steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
+        learned = self._learn(first, advantages, targets, plan)
+        total = dict(zip(self.worlds.counts, self.ranks.sum(self.worlds.totals).tolist(), strict=True))
         return {
-            "reward": total["reward"] / steps, "follows": total["follows"] / steps, "collided": total["collided"] / ended,
-            "met": total["met"] / ended, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
-            "explained": explained, **learned, "std": float(self.net.std().detach().mean()), "rate": plan.rate,
+            **self.worlds.figures(total), "explained": explained, **learned,
+            "std": float(self.net.std().detach().mean()), "rate": plan.rate,
             "gamma": plan.gamma,
         }  # fmt: skip
 
     # --- collecting -------------------------------------------------------------------------------------------------------
     def _inputs(self, over: Tensor) -> dict[str, Tensor]:
         shown, s = self.memory.shown, self.settings
-        found = {"numbers": actor_numbers(shown, self.memory.last, s.observations), "told": critic_numbers(shown, over)}
+        found = {
+            "numbers": actor_numbers(shown, self.memory.last, s.observations),
+            "told": critic_numbers(shown, over, s.critic),
+        }
         return found | ({"pixels": self.net.pixels(shown["arm_depth"])} if self.net.sees else {})
 
     @torch.no_grad()
@@ -112,6 +150,8 @@ class Learner:
                 "action": action, "mean": mean, "begins": m.over, "far": m.shown["way"][:, 0] > s.near_m,
                 "log_prob": (-0.5 * noise.square() - std.log()).sum(1),
             }  # fmt: skip
+            if s.teacher:
+                row["taught"] = self.worlds.taught()
             m.shown, gain, m.over, timed_out, idle = self.worlds.held(action)
             # rewards are paid per step and scaled so that values stay near what one step pays, whatever the horizon
             row |= {"gain": (1 - gamma) / s.hold * gain, "over": m.over, "timed_out": timed_out, "valid": ~idle}
@@ -148,8 +188,8 @@ class Learner:
         return scaled, target, float(explained)
 
     # --- learning ---------------------------------------------------------------------------------------------------------
-    def _learn(self, first: Tensor, advantages: Tensor, targets: Tensor, *, acts: bool) -> dict[str, float]:
-        s, net, kept = self.settings, self.net, self._kept
+    def _learn(self, first: Tensor, advantages: Tensor, targets: Tensor, plan: Schedule) -> dict[str, float]:
+        s, net, kept, acts = self.settings, self.net, self._kept, plan.acts
         parameters = list(net.parameters())
         device, valid = first.device, kept["valid"].float()
         sums = torch.zeros(4, device=device)
@@ -173,6 +213,8 @@ class Learner:
                 loss = wrong + s.auxiliary * guess
                 if acts:
                     loss = wrong - worth - s.entropy * std.log().sum() + s.auxiliary * guess + 0.01 * beyond
+                if plan.teacher:
+                    loss = loss + plan.teacher * (mean - kept["taught"][:, rows]).square().sum(-1).mean()
                 self.optimizer.zero_grad(set_to_none=True)
                 loss.backward()
                 self.ranks.average_gradients(parameters)

@@ -23,18 +23,23 @@ from h3data_training.ppo import Learner, schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
 from h3data_training.running import SPARE_S, Result, Say, is_over, one_thread, share_of, stop_asked
 from h3data_training.settings import Settings
+from h3data_training.skills.episodes import make_skill_bank
+from h3data_training.skills.settings import SkillSettings
+from h3data_training.skills.worlds import HeldSkills
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.torch.episodes import EpisodeBank
+from sim_kinematic.torch.skills.bank import SkillBank
 
+Bank = EpisodeBank | SkillBank
 CHECKPOINT, POLICY = "checkpoint.pt", "policy.npz"
 
 
 def train(
     folder: Path, settings: Settings, *, seed: int = 0, device: str = "cpu", gpus: int = 1,
     init: PicturedNetwork | None = None, resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0,
-    compile: bool | None = None, name: str = "", bank: EpisodeBank | None = None, say: Say = lambda text: None,
+    compile: bool | None = None, name: str = "", bank: Bank | None = None, say: Say = lambda text: None,
 ) -> Result:  # fmt: skip
     """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
 
@@ -43,7 +48,7 @@ def train(
 
     Args:
         folder: Of the run; it exists. `POLICY`, `CHECKPOINT` and the learning curve (`h3data_training.curve`) appear there.
-        settings: What is trained.
+        settings: What is trained: social navigation, or a skill (`h3data_training.skills.settings.SkillSettings`).
         seed: Everything random follows from it.
         device: ``cpu`` or ``cuda``.
         gpus: Processes that train together, one for each GPU, or as many on the CPU; each has its share of the worlds.
@@ -92,7 +97,7 @@ class _Job:
     checkpoint_s: float
     compile: bool | None
     name: str
-    bank: EpisodeBank | None
+    bank: Bank | None
     began: float
     """By the clock on the wall, which all processes see [s]."""
 
@@ -109,8 +114,11 @@ class _Job:
             )
         return kept
 
-    def episodes(self, say: Say) -> EpisodeBank:
-        bank = make_bank(self.settings, seed=self.seed) if self.bank is None else self.bank
+    def episodes(self, say: Say) -> Bank:
+        bank = self.bank
+        if bank is None:
+            s = self.settings
+            bank = make_skill_bank(s, seed=self.seed) if isinstance(s, SkillSettings) else make_bank(s, seed=self.seed)
         say(f"{len(bank)} episodes in {len(bank.scenes)} homes after {time.time() - self.began:.0f} s")
         return bank
 
@@ -133,18 +141,28 @@ def _work(job: _Job, stop: Stop, say: Say) -> Result:
             leave()
 
 
+def worlds_of(
+    settings: Settings, bank: Bank, *, device: str, compile: bool | None = None, count: int | None = None
+) -> HeldWorlds | HeldSkills:
+    """The worlds that settings ask for, in the episodes of a bank."""
+    if isinstance(settings, SkillSettings):
+        assert isinstance(bank, SkillBank)
+        return HeldSkills(settings, bank, device=device, compile=compile, count=count)
+    assert isinstance(bank, EpisodeBank)
+    return HeldWorlds(settings, bank, device=device, compile=compile, count=count)
+
+
 def _silent(line: str) -> None:
     """Says nothing: the first process speaks for all."""
 
 
 class _Run:
-    def __init__(self, job: _Job, ranks: Ranks, device: str, bank: EpisodeBank, say: Say) -> None:
+    def __init__(self, job: _Job, ranks: Ranks, device: str, bank: Bank, say: Say) -> None:
         self.job, self.ranks, self.say = job, ranks, say
         self.folder, self.settings = job.folder, job.settings
         torch.set_float32_matmul_precision("high")
-        worlds = HeldWorlds(
-            self.settings, bank, device=device, compile=job.compile, count=self.settings.worlds // ranks.count
-        )
+        count = self.settings.worlds // ranks.count
+        worlds = worlds_of(self.settings, bank, device=device, compile=job.compile, count=count)
         self.learner = Learner(self.settings, worlds, seed=job.seed, ranks=ranks)
         connect(ranks, worlds.device)
         self.curve: list[dict[str, float]] = []
@@ -227,7 +245,7 @@ class _Run:
         left = timedelta(seconds=round(spent * (1 - share) / share)) if share > 0 else "?"
         return (
             f"{share:.0%}  update {row['update']:.0f}  {row['decisions'] / 1e6:.2f} M decisions  reward {row['reward']:.3f}  "
-            f"following {row['follows']:.0%} of steps  collided {row['collided']:.0%}  "
+            f"{figures_of(row)}  "
             f"{row['decisions_per_s']:.0f} decisions/s  {left} left"
         )
 
@@ -262,12 +280,12 @@ class _Run:
         except PackageNotFoundError:  # a source tree on PYTHONPATH
             own = "source"
         s, updates = self.settings, len(self.curve)
-        last = {k: self.curve[-1][k] for k in ("reward", "follows", "collided", "met")} if self.curve else {}
+        last = {k: v for k, v in self.curve[-1].items() if k in TOLD} if self.curve else {}
         pictured = {"arm_depth", "humanoid_detector"} & set(s.observations)
         kind = PicturedNetwork if s.network == "cnn_gru" else ResNetPolicy
         return kind(
             card=PolicyCard(
-                task="social_nav", robot=s.robot, observations=s.observations,
+                task=s.task, actions=s.actions, robot=s.robot, observations=s.observations,
                 picture_size=s.picture_size if pictured else None, hold=s.hold, network=s.network,
                 training={
                     "recipe": self.job.name, "seed": self.job.seed, "updates": updates,
@@ -279,6 +297,17 @@ class _Run:
             ),
             arrays=self.learner.net.arrays(),
         )  # fmt: skip
+
+
+TOLD = ("reward", "follows", "collided", "met", "succeeded", "failed")
+"""Columns of the last update that a card repeats."""
+
+
+def figures_of(row: dict[str, float]) -> str:
+    """What a row of the learning curve says of episodes, in words."""
+    if "follows" in row:
+        return f"following {row['follows']:.0%} of steps  collided {row['collided']:.0%}"
+    return f"succeeded {row['succeeded']:.0%}  failed {row['failed']:.0%}  {row['steps_per_episode']:.0f} steps"
 
 
 def describe(settings: Settings) -> str:

@@ -7,13 +7,13 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from h3data.errors import InputError
-from sim_kinematic.policies.pictured import ENCODINGS, PATCH
+from sim_kinematic.policies.pictured import BASE_ACTIONS, OF_SOCIAL_NAV, PATCH
 
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
 """What the paper's policy sees (appendix, social navigation)."""
 NETWORKS = ("cnn_gru", "resnet18_lstm")
 CRITIC = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
-"""What the critic is told in training; the policy file has none of it."""
+"""What the critic of social navigation is told."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +46,10 @@ class Settings:
     """Numbers that are left of a picture."""
     hidden: int = 256
     """Size of the recurrent state."""
+    act_width: int = 256
+    """Units between the recurrent state and the action,"""
+    critic_width: int = 256
+    """and in each of the two layers of the critic."""
 
     epochs: int = 3
     minibatches: int = 4
@@ -65,6 +69,10 @@ class Settings:
     gae_lambda: float = 0.95
     clip: float = 0.2
     gradient_norm: float = 1.0
+    teacher: float = 0.0
+    """Weight of what a scripted teacher would do, at the start; where a task has one."""
+    teacher_end: float = 0.6
+    """Share of the run at which that weight has come down to 0."""
     auxiliary: float = 0.5
     """Weight of the head that predicts the critic's inputs from the recurrent state."""
     near_m: float = 3.0
@@ -77,11 +85,22 @@ class Settings:
     """Length of the run, set-up included."""
 
     def __post_init__(self) -> None:
-        known = ("arm_depth", *ENCODINGS)
+        known = ("arm_depth", *self.told)
         strangers = [name for name in self.observations if name not in known]
         if strangers or not self.observations:
             raise InputError(f"Expected observations among {', '.join(known)}; got {', '.join(strangers) or 'none'}.")
-        whole = ("episodes_per_home", "worlds", "rollout", "hold", "features", "hidden", "epochs", "minibatches")
+        whole = (
+            "episodes_per_home",
+            "worlds",
+            "rollout",
+            "hold",
+            "features",
+            "hidden",
+            "act_width",
+            "critic_width",
+            "epochs",
+            "minibatches",
+        )
         for name in whole:
             if getattr(self, name) < 1:
                 raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
@@ -102,6 +121,31 @@ class Settings:
             )
         if self.updates < 0 or not math.isfinite(self.minutes) or self.minutes <= 0:
             raise InputError(f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.")
+
+    @property
+    def task(self) -> str:
+        """Name on the cards of policy files."""
+        return "social_nav"
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Observations that the actor may have beside ``arm_depth``."""
+        return OF_SOCIAL_NAV
+
+    @property
+    def critic(self) -> tuple[str, ...]:
+        """What the critic is told in training; the policy file has none of it."""
+        return CRITIC
+
+    @property
+    def first_action(self) -> tuple[float, ...]:
+        """Around which an actor explores at first: standing still."""
+        return (0.0,) * BASE_ACTIONS
+
+    @property
+    def actions(self) -> int:
+        """Numbers of an action."""
+        return len(self.first_action)
 
     @property
     def decisions_per_update(self) -> int:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError
 from h3data.render import Output
 from h3data.scene import Scene
 from h3data_training.episodes import rules
@@ -128,13 +129,22 @@ class HeldWorlds(SocialNavTorchEnv):
         self.idle.copy_(idle)
         self.totals.add_(sums)
 
-    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """Moves all worlds by an action [W, 2].
+    counts = COUNTS
 
-        Returns:
-            Observations; what was gained [W]; whether another episode began in these steps [W]; whether the one before it had
-            had all its steps [W]; whether the action counted for nothing because the episode was over before [W].
-        """
+    def figures(self, total: dict[str, float]) -> dict[str, float]:
+        """As of `h3data_training.ppo.Worlds`."""
+        steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
+        return {
+            "reward": total["reward"] / steps, "follows": total["follows"] / steps, "collided": total["collided"] / ended,
+            "met": total["met"] / ended, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
+        }  # fmt: skip
+
+    def taught(self) -> Tensor:
+        """Nobody teaches social navigation."""
+        raise InputError("There is no teacher of social navigation. Hint: teacher=0.")
+
+    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """As of `h3data_training.ppo.Worlds`."""
         with torch.no_grad():
             self._action.copy_(action)
             self._advance()

@@ -45,6 +45,7 @@ REASONS = {
     "already_open": "It is open already.",
     "blocked": "Another agent is in the way.",
     "closed": "It is in something that is closed.",
+    "dropped": "It was let go elsewhere.",
     "hand_full": "The hand already holds something.",
     "held_by_other": "Somebody else holds it.",
     "invalid_posture": "It is out of reach from here.",
@@ -63,8 +64,10 @@ REASONS = {
     "robot_busy": "The robot's hand is not free.",
     "robot_moved": "The robot moved away.",
     "stuck": "There is no getting on.",
+    "timed_out": "It took too long.",
     "too_near": "It would hit whoever opens it: they stand in its way.",
     "too_far": "It is too far away to reach from here.",
+    "wrong_object": "The hand took something else.",
 }
 """Sentences for the short words that recordings hold about skills that were refused or failed."""
 
@@ -120,6 +123,16 @@ class Actor(Protocol):
     def idle(self) -> None:
         """One step of doing nothing."""
         ...
+
+
+class LearnedSkill(Protocol):
+    """A skill that a network carries out instead of the one that knows all."""
+
+    def infeasible(self, actor: Any, action: Action) -> str:
+        """Why it cannot start now, beyond what `Objects.why_not` says; empty: it can."""
+        ...
+
+    def start(self, actor: Any, action: Action) -> Skill: ...
 
 
 @dataclass(eq=False)

@@ -190,3 +190,44 @@ class ArmSpec:
     """Most that a joint moves per step [rad or m]."""
     grasp_m: float = 0.15
     """The hand takes the nearest object, if its origin is nearer to the hand than this."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkillSpec:
+    """Rules of a robot's learned skills: when one has succeeded, when its time is over, and what a step is worth (paper
+    appendix, low-level skill training)."""
+
+    nav_steps: int = 1500
+    """Longest duration of ``nav``,"""
+    arm_steps: int = 1250
+    """and of ``pick`` and ``place``."""
+    nav_start_m: float = 4.0
+    """Least length of the path to where the target is reached from, at the start of ``nav``,"""
+    arm_start_m: float = 3.0
+    """and of ``pick`` and ``place``,"""
+    arm_most_m: float = 5.0
+    """for which it is at most this: a robot that is farther away has to get there first."""
+    near_m: float = 1.5
+    """``nav`` ends this near to its target, straight and by the path to where it is reached from,"""
+    facing_dot: float = 0.5
+    """with at least this cosine between its forward axis and the direction to the target."""
+    rest_m: float = 0.15
+    """``pick`` and ``place`` end with the hand this near to where it is at rest."""
+    place_m: float = 0.15
+    """An object counts as placed this near to its goal."""
+    slack: float = 0.005
+    """Cost of a step; ``nav`` costs twice that."""
+    contact: float = 0.005
+    """Cost of a step of ``nav`` in which the base touches something."""
+    facing: float = 0.05
+    """A step of ``nav`` costs so much times one less the cosine to the target,"""
+    facing_within_m: float = 3.0
+    """where the path is at most this long. Paid instead of charged, waiting in front of the target would be worth more than
+    success."""
+    nav_success: float = 10.0
+    pick_success: float = 2.0
+    place_success: float = 10.0
+    placed: float = 5.0
+    """For putting the object at its goal, once."""
+    lost: float = 0.5
+    """Cost of taking another object or dropping the right one, which ends ``pick``."""

@@ -1,6 +1,7 @@
-"""A recurrent network that sees: pictures and numbers in, a base velocity out, in a file of plain arrays.
+"""A recurrent network that sees: pictures and numbers in, a command of a robot out, in a file of plain arrays.
 
-``depth -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``. It is evaluated by one
+``depth -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``, of skills that move the
+arm also its joints and the grip. It is evaluated by one
 small kernel, in a millisecond: sums in a fixed order give the same bits in every process, which neither PyTorch nor NumPy's
 BLAS does, whose order depends on the number of threads, and threads for so little work cost more than the work.
 `h3data_training.networks` is the same in PyTorch; tests/training/test_policy_files.py compares the two.
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -47,15 +48,53 @@ def _scaled(seen: NDArray[np.floating]) -> Floats:
     return np.asarray(seen, np.float32) / np.float32(SPEED_MPS)
 
 
+def spot(seen: NDArray[np.floating]) -> Floats:
+    """A point [3] [m] as numbers that a network reads easily, [8]: as it is, its direction, and how near it is."""
+    point = np.asarray(seen, np.float32)
+    d = np.sqrt(np.sum(point * point))
+    return np.concatenate(
+        [point / np.float32(SPEED_MPS), point / (d + np.float32(0.1)), [np.exp(-2 * d), np.exp(-8 * d)]]
+    )
+
+
+def _as_it_is(seen: NDArray[np.floating]) -> Floats:
+    return np.asarray(seen, np.float32)
+
+
+def _turns(seen: NDArray[np.floating]) -> Floats:
+    return np.asarray(seen, np.float32) / np.float32(np.pi)
+
+
 ENCODINGS = {
     "humanoid_gps": (polar, 2, 6),
-    "humanoid_detector": (lambda seen: np.asarray(seen, np.float32), 1, 1),
+    "humanoid_detector": (_as_it_is, 1, 1),
     "humanoid_velocity": (_scaled, 2, 2),
     "egomotion": (_scaled, 3, 3),
     "way": (polar, 2, 6),
     "range_scan": (_scaled, 12, 12),
+    "target_gps_compass": (polar, 2, 6),
+    "target_sensor": (spot, 3, 8),
+    "resting_sensor": (spot, 3, 8),
+    "is_holding": (_as_it_is, 1, 1),
+    "arm_joints": (_turns, 0, 0),
 }
-"""Observations that a network may be shown beside ``arm_depth``: their encoding, their length, and the length it gives."""
+"""Observations that a network may be shown beside ``arm_depth``: their encoding, their length, and the length it gives; of
+``arm_joints`` both are the number of joints, `lengths`."""
+OF_SKILLS = (
+    "way",
+    "range_scan",
+    "egomotion",
+    "target_gps_compass",
+    "target_sensor",
+    "resting_sensor",
+    "is_holding",
+    "arm_joints",
+)
+"""Those of skills,"""
+OF_SOCIAL_NAV = ("humanoid_gps", "humanoid_detector", "humanoid_velocity", "egomotion", "way", "range_scan")
+"""and those of social navigation."""
+BASE_ACTIONS, GRIP_ACTIONS = 2, 1
+"""Numbers of an action that move the base, and that close the hand where the arm's joints move."""
 
 
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -71,6 +110,8 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"
     """Which layers there are: ``cnn_gru``, ``resnet18_lstm``, the paper's, or ``gru_chooser`` of rearrangement."""
+    actions: int = BASE_ACTIONS
+    """Numbers of an action: base [2], of skills that move the arm also its joints [n] and grip [1]."""
     agent: str = "robot"
     """Who acts by it: ``robot`` or ``human``."""
     objects: int = 0
@@ -94,8 +135,7 @@ class PicturedNetwork:
     card: PolicyCard
     arrays: Mapping[str, Floats]
     """By name as in the file: ``conv_0.weight`` [out, in, 3, 3], ``picture.weight`` [features, flat], ``gru.weight_ih``
-    [3 H, in], ``gru.weight_hh`` [3 H, H], ``act_0.weight``, ``act_1.weight`` [2, n], and a bias for each."""
-    outputs: int = field(default=2, init=False)
+    [3 H, in], ``gru.weight_hh`` [3 H, H], ``act_0.weight``, ``act_1.weight`` [actions, n], and a bias for each."""
     kind: ClassVar[str] = "cnn_gru"
 
     def __post_init__(self) -> None:
@@ -110,6 +150,11 @@ class PicturedNetwork:
     @property
     def observations(self) -> tuple[str, ...]:
         return self.card.observations
+
+    @property
+    def outputs(self) -> int:
+        """Numbers of an action."""
+        return self.card.actions
 
     @property
     def sees(self) -> bool:
@@ -128,7 +173,7 @@ class PicturedNetwork:
         return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """The action [2] and the next state [H] for observations by name, the last action [2] (0 at the start) and the
+        """The action [n] and the next state [H] for observations by name, the last action [n] (0 at the start) and the
         state [H].
 
         Raises:
@@ -166,12 +211,12 @@ class PicturedNetwork:
             shapes |= {
                 "picture.weight": (features, last * picture_length(card.picture_size)), "picture.bias": (features,)
             }  # fmt: skip
-        numbers = number_count(card.observations)
+        numbers = number_count(card.observations, card.actions)
         state, wide = _rows(arrays, "gru.weight_ih") // 3, _rows(arrays, "act_0.weight")
         return shapes | {
             "gru.weight_ih": (3 * state, features + numbers), "gru.weight_hh": (3 * state, state),
             "gru.bias_ih": (3 * state,), "gru.bias_hh": (3 * state,), "act_0.weight": (wide, state + numbers),
-            "act_0.bias": (wide,), "act_1.weight": (2, wide), "act_1.bias": (2,),
+            "act_0.bias": (wide,), "act_1.weight": (card.actions, wide), "act_1.bias": (card.actions,),
         }  # fmt: skip
 
     @cached_property
@@ -191,7 +236,7 @@ class PicturedNetwork:
         for name in self.observations:
             if name == "arm_depth":
                 continue
-            encode, length, _ = ENCODINGS[name]
+            encode, (length, _) = ENCODINGS[name][0], lengths(name, self.card.actions)
             if name not in shown or np.shape(shown[name]) != (length,):
                 got = list(np.shape(shown[name])) if name in shown else "none"
                 raise InputError(f"Expected the observation {name} [{length}], got {got}.")
@@ -239,9 +284,16 @@ def affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
     return out
 
 
-def number_count(observations: tuple[str, ...]) -> int:
+def lengths(name: str, actions: int) -> tuple[int, int]:
+    """Numbers of an observation, and of its encoding, where an action has so many numbers."""
+    if name == "arm_joints":
+        return (max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0),) * 2
+    return ENCODINGS[name][1:]
+
+
+def number_count(observations: tuple[str, ...], actions: int = BASE_ACTIONS) -> int:
     """Length of the encoded numbers and of the last action."""
-    return sum(ENCODINGS[name][2] for name in observations if name != "arm_depth") + 2
+    return sum(lengths(name, actions)[1] for name in observations if name != "arm_depth") + actions
 
 
 def picture_length(size: tuple[int, int]) -> int:
@@ -261,6 +313,8 @@ def _faults(kind: type[PicturedNetwork], card: PolicyCard, arrays: Mapping[str, 
         return [f"unknown observations {', '.join(strangers)}, there are arm_depth, {', '.join(ENCODINGS)}"]
     if not card.observations or len(set(card.observations)) != len(card.observations):
         return ["expected some observations, each once"]
+    if not BASE_ACTIONS <= card.actions <= 32:
+        return [f"an action has {card.actions} numbers, expected {BASE_ACTIONS} to 32"]
     if not 1 <= card.hold <= 30:
         return [f"actions are held for {card.hold} steps, expected 1 to 30"]
     if {"arm_depth", "humanoid_detector"} & set(card.observations):

@@ -8,7 +8,6 @@ search for: the geodesic distance and where it leads are looked up (`sim_kinemat
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -20,8 +19,8 @@ from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
-from sim_kinematic.sensing.sensor import FAR_M, RANGE_M, RANGE_STRIDES, RANGES
 from sim_kinematic.tasks.rules.rewards import PaperReward
+from sim_kinematic.torch import seen
 from sim_kinematic.torch.contact import TouchTest
 from sim_kinematic.torch.episodes import EpisodeBank
 from sim_kinematic.torch.geodesic import Lattices, shortest_way
@@ -31,7 +30,6 @@ from sim_kinematic.torch.step import (
     drive_robots,
     heading_direction,
     move_humans,
-    sample_sdf,
     walk_humans,
     wrap_angle,
 )
@@ -242,43 +240,18 @@ class SocialNavTensors:
         """One that needs no picture, as in `sim_kinematic.envs.social_nav_observations`, float32 [W, ...]."""
         robot, human = play.robot, play.human
         if name == "humanoid_gps":
-            shown = _polar(_in_base_frame(robot.xz, robot.heading, human.xz))
+            shown = seen.polar(seen.in_base_frame(robot.xz, robot.heading, human.xz))
         elif name == "humanoid_velocity":
-            shown = _in_base_frame(play.human_before_xz, robot.heading, human.xz) / STEP_S
+            shown = seen.in_base_frame(play.human_before_xz, robot.heading, human.xz) / STEP_S
         elif name == "way":
-            lost = play.geodesic.isinf()
-            angle = _polar(_in_base_frame(robot.xz, robot.heading, robot.xz + play.towards))[:, 1]
-            shown = torch.stack([play.geodesic.clamp_max(FAR_M), torch.where(lost, 0.0, angle)], -1)
+            shown = seen.way(robot, play.geodesic, play.towards)
         elif name == "range_scan":
-            shown = self._range_scan(play)
+            shown = seen.range_scan(self._grids.at(self._drawn.place[play.episode]), robot)
         elif name == "egomotion":
-            moved = _in_base_frame(play.before_xz, play.before_heading, robot.xz)
-            shown = torch.cat([moved, wrap_angle(robot.heading - play.before_heading)[:, None]], 1) / STEP_S
+            shown = seen.egomotion(play.before_xz, play.before_heading, robot)
         elif name == "localization":
             floor_y = self._drawn.floor_y[self._drawn.place[play.episode]]
             shown = torch.stack([robot.xz[:, 0], floor_y, robot.xz[:, 1], wrap_angle(robot.heading)], -1)
         else:
             raise InputError(f"On a device there is no observation {name!r}.")
         return shown.float()
-
-    def _range_scan(self, play: Play) -> Tensor:
-        grids, robot = self._grids.at(self._drawn.place[play.episode]), play.robot
-        along = robot.heading + (2 * math.pi / RANGES) * torch.arange(RANGES, device=self.device)[:, None]
-        direction = heading_direction(along)  # [RANGES, W, 2]
-        reach = torch.zeros_like(along)
-        for _ in range(RANGE_STRIDES):
-            left = sample_sdf(grids, torch.addcmul(robot.xz, direction, reach[..., None])).distance
-            reach = (reach + left.clamp_min(0.0)).clamp_max(RANGE_M)
-        return reach.T
-
-
-def _polar(seen: Tensor) -> Tensor:
-    """Distance, and angle positive to the right, of what is ``seen`` forward and left, [W, 2]."""
-    return torch.stack([torch.hypot(seen[:, 0], seen[:, 1]), -torch.atan2(seen[:, 1], seen[:, 0])], -1)
-
-
-def _in_base_frame(xz: Tensor, heading: Tensor, point: Tensor) -> Tensor:
-    """Points [W, 2] as seen from bases: forward and left, [W, 2]."""
-    gap, forward = point - xz, heading_direction(heading)
-    left = gap[:, 0] * forward[:, 1] - gap[:, 1] * forward[:, 0]
-    return torch.stack([(gap * forward).sum(-1), left], -1)

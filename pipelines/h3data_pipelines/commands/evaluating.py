@@ -9,11 +9,13 @@ from typing import Annotated
 
 import tyro
 
+from h3data.errors import InputError
 from h3data.progress import progress
 from h3data_pipelines.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome, WalkOption
 from h3data_pipelines.execution.executors import ExecutorOption
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
 from h3data_pipelines.jobs.evaluations import ALL
+from h3data_pipelines.jobs.skill_evaluations import evaluate_skills
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,8 @@ class Evaluate:
     """Play policies in the same episodes, metrics beside the paper's.
 
     S, SPS, F, CR, BYR, TD and FD of social_nav; SR, RE, CR and RC with every partner of rearrange, with 95% intervals. Each
-    episode is a small file in the output folder: an interrupted evaluation goes on where it was.
+    episode is a small file in the output folder: an interrupted evaluation goes on where it was. skill: how often each learned
+    skill succeeds, the robot alone.
 
     Examples:
         h3data evaluate rearrange --scenes h3-homes/test -o out/zsc
@@ -31,11 +34,14 @@ class Evaluate:
         h3data evaluate rearrange --scenes medium --homes 2 --episodes 8 --workers 2 -o out/pairs
         h3data evaluate rearrange --episodes 20 --keep --zsc plan_pop_1 --zsc plan_pop_2 -o out/zsc
         h3data evaluate rearrange --episodes-file val.json.gz --assets data/ -o out/val
+        h3data evaluate rearrange --policies plan_pop_3_robot --partners plan_pop_3 --skills learned -o out/learned
+        h3data evaluate skill --skills out/skills -o out/table
         h3data report out/zsc
     """
 
     task: tyro.conf.Positional[str]
-    """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals."""
+    """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals; skill: nav,
+    pick and place, one by one."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: str = ALL
@@ -72,6 +78,9 @@ class Evaluate:
     """Walking speed of the person [m/s] (default: that of --human-walk)."""
     max_steps: int | None = None
     """Length limit of an episode (default: 1500)."""
+    skills: str = ""
+    """rearrange and skill: learned skills of robots: learned (those that come with the package), a folder of training runs, or
+    policy files of h3data train skill, separated by commas (default: none in rearrange, learned for skill)."""
     workers: int = 1
     """Processes."""
     executor: ExecutorOption = "local"
@@ -84,10 +93,13 @@ class Evaluate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        is_skill = self.task == "skill"
+        if is_skill and (self.keep or self.zsc or self.policies != ALL or self.partners != ALL):
+            raise InputError("Skills are judged with the robot alone: no --policies, --partners, --zsc or --keep.")
         request = EvaluationRequest(
-            task=self.task,
-            policies=self.policies,
-            partners=self.partners,
+            task="rearrange" if is_skill else self.task,
+            policies="still" if is_skill else self.policies,
+            partners="still" if is_skill else self.partners,
             zsc=self.zsc,
             scenes=self.scenes,
             episodes_file=self.episodes_file,
@@ -101,7 +113,15 @@ class Evaluate:
             human_walk=self.human_walk,
             human_speed=self.human_speed,
             max_steps=self.max_steps,
+            skills=self.skills or ("learned" if is_skill else ""),
         )
+        if is_skill:
+            judged = evaluate_skills(
+                request, self.out, resume=self.resume, force=self.force, workers=self.workers, executor=self.executor,
+                progress=progress,
+            )  # fmt: skip
+            text, code = judged.to_text(), 1 if judged.failed else 0
+            return Outcome(text=text, data=judged.to_dict(), result=judged, exit_code=code)
         result = evaluate_task(
             request, self.out, keep=self.keep, resume=self.resume, force=self.force, workers=self.workers,
             executor=self.executor, progress=progress,

@@ -211,6 +211,21 @@ class Choices:
         return with_motion(agents, motion) if motion and agents is not None else agents
 
 
+def skill_rules(task: Task, skills: str | None) -> tuple[tuple[str, Any], ...]:
+    """The rule that names learned skills, if there are any.
+
+    Raises:
+        InputError: the task has no skills, or there are no such files.
+    """
+    from sim_kinematic.policies.skills.names import recorded_skills
+
+    if not skills:
+        return ()
+    if not hasattr(task.default_spec(), "skills"):
+        raise InputError(f"--skills is for rearrange, not for {task.name}.")
+    return (("skills", recorded_skills(skills)),)
+
+
 @dataclass(frozen=True)
 class Draw:
     """One episode that is sampled from its seed, whatever the task."""

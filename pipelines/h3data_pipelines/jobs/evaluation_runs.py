@@ -19,7 +19,7 @@ from h3data_pipelines.command import claim_folder, write_text
 from h3data_pipelines.execution.executors import check_workers, opened
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.jobs.episode_files import FileJobs, notes_on, requested_jobs
-from h3data_pipelines.jobs.episodes import Choices
+from h3data_pipelines.jobs.episodes import Choices, skill_rules
 from h3data_pipelines.jobs.evaluations import (
     ALL,
     Evaluation,
@@ -60,6 +60,8 @@ class EvaluationRequest:
     human_walk: str | None = None
     human_speed: float | None = None
     max_steps: int | None = None
+    skills: str = ""
+    """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`); empty: none."""
 
     def jobs(self) -> list[Evaluation]:
         """All episodes, or an `InputError` that names the bad option."""
@@ -86,6 +88,7 @@ class EvaluationRequest:
         choices = Choices(
             task=self.task, policy=policies[0], partner=partners[0] if partners else None, human=self.human,
             motion=self.motion, human_walk=self.human_walk, human_speed=self.human_speed, max_steps=self.max_steps,
+            rules=skill_rules(task, self.skills),
         )  # fmt: skip
         for kind, names in (("robot", policies), ("human", partners)):
             for name in names:

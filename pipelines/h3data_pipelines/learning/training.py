@@ -1,12 +1,12 @@
-"""``h3data train``: learns social navigation from pictures, on a GPU or, in small, on a CPU, and rearrangement beside
-populations of partners, on CPU cores."""
+"""``h3data train``: learns social navigation from pictures, on a GPU or, in small, on a CPU, the skills of a robot, and
+rearrangement beside populations of partners, on CPU cores."""
 
 from __future__ import annotations
 
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -23,12 +23,15 @@ if TYPE_CHECKING:
 OF_REARRANGE = ("population", "workers", "episodes_file")
 """Options that only rearrange has,"""
 OF_SOCIAL_NAV = ("recipe", "observations", "worlds", "hold", "init", "rollout", "minibatches", "follow_steps")
-"""and those that only social_nav has, beside the device and the number of GPUs."""
+"""those that only social_nav and skills have, beside the device and the number of GPUs,"""
+NOT_OF_SKILLS = (*OF_REARRANGE, "walk", "follow_steps")
+"""and those that skills do not have: nobody else is there."""
+TASKS = "social_nav, rearrange or skill"
 
 
 @dataclass(frozen=True)
 class Train:
-    """Learn a policy into a file of weights: social_nav from pictures, rearrange beside a population of partners.
+    """Learn a policy into a file of weights: social_nav from pictures, rearrange beside a population of partners, or a skill.
 
     The file plays wherever a policy has a name. The folder gets policy.npz, curve.parquet (the learning curve; tensorboard/
     too, where TensorBoard is installed) and checkpoint.pt, all renewed every half minute; of rearrange also partner_0.npz, ...,
@@ -43,14 +46,18 @@ class Train:
         h3data train social_nav --recipe fast --dry-run -o out/nav
         h3data train rearrange --population plan_pop_3 --minutes 30 -o out/plan_pop_3
         h3data train rearrange --population learn_pop --workers 16 --updates 200 --resume -o out/learn_pop
+        h3data train skill nav -o out/skills/nav
+        h3data train skill pick --minutes 20 -o out/skills/pick
         h3data evaluate social_nav --policies weights:out/nav/policy.npz,rollout_expert -o out/table
     """
 
     task: tyro.conf.Positional[str]
-    """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals, by skills.
-    Both with the paper's reward."""
+    """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals, by skills;
+    skill: one of these skills. All with the paper's rewards."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the run."""
+    skill: tyro.conf.Positional[str] = ""
+    """skill: nav, pick or place."""
     population: str | None = None
     """rearrange: who is beside the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to
     plan_pop_4: planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
@@ -61,7 +68,8 @@ class Train:
     seed: int = 0
     """Everything random follows from it."""
     minutes: float | None = None
-    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30)."""
+    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30, skills 10
+    to 20)."""
     updates: int | None = None
     """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
     stop_after: float | None = None
@@ -72,12 +80,13 @@ class Train:
     """rearrange: episodes to play, drawn and written where there is no such file, so that several runs share them (default:
     episodes.json.gz in the folder)."""
     device: str = "cpu"
-    """social_nav: cpu, cuda or cuda:N."""
+    """social_nav and skill: cpu, cuda or cuda:N."""
     scenes: str | None = None
     """Homes to learn in, as of h3data generate (default: h3-homes/train)."""
     observations: str | None = None
     """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
-    humanoid_gps,range_scan); there are also egomotion, humanoid_velocity, way and range_scan."""
+    humanoid_gps,range_scan); there are also egomotion, humanoid_velocity, way and range_scan. Skills: target_gps_compass, way,
+    range_scan, egomotion, and of pick and place target_sensor, resting_sensor, arm_joints and is_holding."""
     worlds: int | None = None
     """Worlds that are stepped at once."""
     hold: int | None = None
@@ -109,25 +118,22 @@ class Train:
             raise InputError("Expected --resume (go on) or --force (begin anew), got both.")
         if self.stop_after is not None and not self.stop_after > 0:
             raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
+        if self.skill and self.task != "skill":
+            raise InputError(f"Expected the name of a skill after the task skill only, got {self.task} {self.skill}.")
         if self.task == "rearrange":
             return self._rearrange()
-        if self.task != "social_nav":
+        if self.task not in ("social_nav", "skill"):
             raise InputError(
-                f"Expected the task social_nav or rearrange, got {self.task!r}: policies of other tasks cannot be trained yet."
+                f"Expected the task {TASKS}, got {self.task!r}: policies of other tasks cannot be trained yet."
             )
-        if strangers := [f"--{n.replace('_', '-')}" for n in OF_REARRANGE if getattr(self, n) is not None]:
-            raise InputError(f"Options of rearrange, not of social_nav: {', '.join(strangers)}.")
+        others = NOT_OF_SKILLS if self.task == "skill" else OF_REARRANGE
+        if strangers := [f"--{n.replace('_', '-')}" for n in others if getattr(self, n) is not None]:
+            whose = "other tasks" if self.task == "skill" else "rearrange"
+            raise InputError(f"Options of {whose}, not of {self.task}: {', '.join(strangers)}.")
         from h3data_training.ranks import torchrun_place
         from h3data_training.run import CHECKPOINT, describe, train
-        from h3data_training.settings import recipe
 
-        shown = None if self.observations is None else tuple(self.observations.split(","))
-        name = self.recipe or "tiny"
-        settings = recipe(
-            name, minutes=self.minutes, updates=self.updates, scenes=self.scenes, worlds=self.worlds, hold=self.hold,
-            observations=shown, robot=self.robot, walk=self.walk, rollout=self.rollout, minibatches=self.minibatches,
-            follow_steps=self.follow_steps,
-        )  # fmt: skip
+        name, settings = self._settings()
         first = None if self.init is None else _first(self.init)
         if first is not None:
             settings = settings.second_stage()
@@ -147,7 +153,23 @@ class Train:
             folder, settings, seed=self.seed, device=self.device, gpus=self.gpus, init=first, resume=self.resume,
             stop_after=self.stop_after, name=name, say=say,
         )  # fmt: skip
-        return Outcome(text=_summary(result), data=_data(result), result=result)
+        return Outcome(text=_summary(result, settings.task), data=_data(result), result=result)
+
+    def _settings(self) -> tuple[str, Settings]:
+        """The recipe's name and the settings of social navigation or a skill."""
+        from h3data_training.settings import recipe
+        from h3data_training.skills.settings import skill_recipe
+
+        shown = None if self.observations is None else tuple(self.observations.split(","))
+        changes: dict[str, Any] = {
+            "minutes": self.minutes, "updates": self.updates, "scenes": self.scenes, "worlds": self.worlds,
+            "hold": self.hold, "observations": shown, "robot": self.robot, "rollout": self.rollout,
+            "minibatches": self.minibatches,
+        }  # fmt: skip
+        name = self.recipe or "tiny"
+        if self.task == "skill":
+            return name, skill_recipe(name, self.skill, **changes)
+        return name, recipe(name, **changes, walk=self.walk, follow_steps=self.follow_steps)
 
     def _rearrange(self) -> Outcome:
         strangers = [f"--{name.replace('_', '-')}" for name in OF_SOCIAL_NAV if getattr(self, name) is not None]
@@ -213,13 +235,10 @@ def _data(result: Result) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _summary(result: Result) -> str:
-    row = result.last
-    figures = (
-        f"following {row['follows']:.0%} of steps, {row['collided']:.0%} of ended episodes in contact"
-        if row
-        else "no update"
-    )
+def _summary(result: Result, task: str) -> str:
+    from h3data_training.run import figures_of
+
+    figures = figures_of(result.last).replace("  ", ", ") if result.last else "no update"
     lines = [
         f"{counted(result.updates, 'update')}, {result.decisions / 1e6:.2f} M decisions in {result.seconds / 60:.1f} minutes "
         f"(set-up {result.setup_s:.0f} s): {figures}.",
@@ -227,6 +246,8 @@ def _summary(result: Result) -> str:
     ]
     if not result.done:
         lines.append("The run is not over. Hint: the same command with --resume goes on.")
+    elif task.startswith("skill_"):
+        lines.append(f"Hint: h3data evaluate skill --skills {result.folder / 'policy.npz'} -o table/")
     else:
         lines.append(f"Hint: h3data evaluate social_nav --policies weights:{result.folder / 'policy.npz'} -o table/")
     return "\n".join(lines)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -27,7 +27,7 @@ from sim_kinematic.agents.robots.hand_reach import (
     reach_distances,
     reach_posture,
 )
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Skill
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, LearnedSkill, Skill
 from sim_kinematic.agents.stands import (
     CROWDED_M,
     handle_stands,
@@ -70,10 +70,15 @@ def checked_command(command: ArrayLike, robot: Robot) -> Array:
 class RobotActor(RobotDriver):
     """A robot with an arm and what it can do."""
 
+    learned: Mapping[str, LearnedSkill] = field(default_factory=dict)
+    """Learned skills in the place of its own, by name."""
+
     def infeasible(self, action: Action) -> str:
         why = self.objects.why_not(self.number, action)
         if not why and self.openables is not None:
             why = self._barred(self.openables, action)
+        if action.skill in self.learned:
+            return why or self.learned[action.skill].infeasible(self, action)
         if why or action.skill not in ("pick", "place"):
             return why
         if self._posture(self._hand_target(action)) is None:
@@ -96,6 +101,8 @@ class RobotActor(RobotDriver):
 
     def start(self, action: Action) -> Skill:
         k = action.target
+        if action.skill in self.learned:
+            return self._reach(self.learned[action.skill].start(self, action))
         if action.skill == "nav_to_handle":
             return self._navigate_to_handle(k)
         if action.skill in ("open", "close"):
@@ -126,6 +133,37 @@ class RobotActor(RobotDriver):
         grip_objects(state, hand, action[-1:], rules, agent=self.number)
         yield
         return Ending("done")
+
+    def follow(self, command: Array, towards: NDArray) -> None:
+        """Moves one step by the command of a learned skill, base [2] alone or with arm joints [n] and grip [1], in -1..1. The
+        base gives way as in every skill; ``towards`` [2] is where it wants to get."""
+        rules = ArmSpec(grasp_m=self.grip_m)
+        if len(command) > 2:
+            self.arm_goal = self.joints.copy()
+            moved = self.arm + np.asarray(command[2:-1], np.float64) * rules.joint_step
+            self.arm_goal[self._arm] = np.clip(moved, self.robot.lower[self._arm], self.robot.upper[self._arm])
+        self._step(float(command[0]), float(command[1]), towards, eases=False)
+        if len(command) > 2:
+            hand = robot_hands(self.state, self.robot, self.free)
+            grip_objects(self.objects.state, hand, np.asarray(command[-1:], np.float64), rules, agent=self.number)
+
+    def step_aside(self) -> None:
+        """Goes one step out of another agent's way."""
+        self._step_aside()
+
+    def open_stand(self, point: NDArray) -> Array | None:
+        """The nearest place ``(x, z, heading)`` [3] from which the hand reaches a world point [3] and nothing is in between;
+        None: there is no path to one."""
+        stands, clearance = self.stands(point, self._empty_base), self.arm_clearance
+        is_clear = None if clearance is None else partial(clearance.is_open, point=point)
+        k, _ = nearest_stand(self.free, stands, self.xz, is_clear=is_clear)
+        return stands[k] if k >= 0 else None
+
+    @property
+    def resting_point(self) -> Array:
+        """Where the hand would be at rest, in the world [3]."""
+        at = self._hand_in_root(self.robot.rest)
+        return pose_multiply(self.pose, np.append(at, [0, 0, 0, 1.0]))[:3]
 
     def _navigate(self, point: NDArray) -> Skill:
         """Drives to where the hand reaches a world point [3], and turns for it."""

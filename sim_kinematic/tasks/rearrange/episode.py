@@ -37,6 +37,7 @@ from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.policies.skills.names import recorded_skills
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
@@ -103,9 +104,15 @@ class RearrangeSpec:
     """Whether what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
     something opens; those from before 0.3 know nothing of it."""
 
+    skills: str = field(default="", repr=False)
+    """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not
+    name know all."""
+
     def __post_init__(self) -> None:
         if self.people_give_way is None:
             object.__setattr__(self, "people_give_way", self.robot.slide != "habitat")
+        if self.skills:
+            object.__setattr__(self, "skills", recorded_skills(self.skills))
         if self.reward not in REARRANGE_REWARDS:
             raise InputError(f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REARRANGE_REWARDS)}.")
         if self.max_steps < 1 or self.objects < 1:

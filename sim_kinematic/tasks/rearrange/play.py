@@ -39,6 +39,7 @@ from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.rearrange import HighLevelPolicy
+from sim_kinematic.policies.skills.names import skills_of
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.episode import agent_base
 from sim_kinematic.tasks.play import Columns
@@ -257,7 +258,10 @@ class RearrangePlay:
         if isinstance(body, Robot):
             base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
             floor = floor_of(body, base, world.scene, world.free)
-            return RobotActor(body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, clearance)
+            learned = skills_of(spec.skills, robot=world.roster[number].model)
+            return RobotActor(
+                body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, clearance, learned=learned
+            )
         x, z, heading = world.starts[number]
         base = world.free.root_pose(np.array([x, z]), float(heading))
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))

@@ -287,6 +287,7 @@ class Rearrange(Task):
             **self.run_info(episode, policies),
             "max_steps": episode.spec.max_steps,
             "spec": rules_to_json(episode.spec),
+            **({"skills": episode.spec.skills} if episode.spec.skills else {}),
             **_starts(episode),
             "goal_objects": body_indices(episode),
             "goals": [msgspec.to_builtins(goal_record(target)) for target in episode.targets],

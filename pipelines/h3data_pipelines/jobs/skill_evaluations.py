@@ -1,0 +1,200 @@
+"""Judges learned skills one by one: each of them in the same episodes of rearrangement, with the robot alone."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from h3data.errors import FormatError, InputError
+from h3data_pipelines.command import claim_folder, write_text
+from h3data_pipelines.execution.executors import check_workers, opened
+from h3data_pipelines.jobs.episodes import Job
+from h3data_pipelines.jobs.evaluation_runs import RESULTS, EvaluationRequest
+from h3data_pipelines.jobs.failed_episodes import reason_of
+
+ORDER = ("nav", "pick", "place")
+
+
+@dataclass(frozen=True)
+class SkillJob:
+    """One episode in which every skill is tried once."""
+
+    base: Job
+    """Its rules name the skills."""
+    seed: int
+
+    def to_json(self) -> dict[str, Any]:
+        """What decides the results."""
+        fields = self.base.to_json()
+        for name in ("policy", "partner"):
+            fields.pop(name, None)
+        return {"episode": fields, "seed": self.seed}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkillEvaluationResult:
+    """What came of all episodes."""
+
+    skills: str
+    rows: tuple[dict[str, Any], ...]
+    """One for each skill in each episode."""
+    failed: tuple[str, ...]
+    """Episodes that raised, and why."""
+    new: int
+
+    def summary(self) -> list[dict[str, Any]]:
+        """Success with its interval, steps, and why the others failed, by skill."""
+        from h3data.stats import wilson_interval
+
+        found = []
+        for skill in ORDER:
+            rows = [row for row in self.rows if row["skill"] == skill]
+            if not rows:
+                continue
+            done = [row for row in rows if row["outcome"] == "done"]
+            least, most = wilson_interval(len(done), len(rows))
+            reasons = Counter(row["reason"] for row in rows if row["outcome"] != "done")
+            found.append(
+                {
+                    "skill": skill, "episodes": len(rows), "success": len(done) / len(rows), "interval": [least, most],
+                    "steps": float(np.mean([row["steps"] for row in done])) if done else None,
+                    "path_m": float(np.mean([row["path_m"] for row in rows])),
+                    "contact": sum(row["contact"] for row in rows) / max(sum(row["steps"] for row in rows), 1),
+                    "failures": dict(reasons.most_common()),
+                }
+            )  # fmt: skip
+        return found
+
+    def to_text(self) -> str:
+        """The table, and what failed."""
+        lines = [f"{'skill':6} {'episodes':>8}  {'success':20} {'steps':>6} {'path m':>7} {'contact':>8}  failures"]
+        for row in self.summary():
+            least, most = row["interval"]
+            success = f"{row['success']:.2f} [{least:.2f}, {most:.2f}]"
+            steps = "-" if row["steps"] is None else f"{row['steps']:.0f}"
+            failures = ", ".join(f"{reason} {count}" for reason, count in row["failures"].items()) or "none"
+            lines.append(
+                f"{row['skill']:6} {row['episodes']:>8}  {success:20} {steps:>6} {row['path_m']:>7.1f} {row['contact']:>8.1%}  "
+                f"{failures}"
+            )
+        return "\n".join([*lines, *(f"failed {line}" for line in self.failed)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as JSON types."""
+        return {"skills": self.skills, "table": self.summary(), "failed": list(self.failed), "new": self.new}
+
+
+def judge_episode(job: SkillJob) -> dict[str, Any]:
+    """What every learned skill comes to in one episode; an episode that raises is listed as failed."""
+    from sim_kinematic.motion.randomness import generator
+    from sim_kinematic.policies.skills.names import skills_of
+    from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+    from sim_kinematic.tasks.rearrange.skill_judging import action_of, judge
+    from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, draw_starts
+
+    rows = []
+    try:
+        episode = job.base.episode()
+        assert isinstance(episode, RearrangeEpisode)
+        learned = skills_of(job.base.spec.skills, robot=episode.roster[0].model)
+        for skill in SKILL_NAMES:
+            rng = generator(job.seed, f"skill_start/{skill}", step=job.base.index)
+            for start in draw_starts(episode, skill, 1, rng):
+                if action_of(start).skill in learned:
+                    result = judge(episode, start, learned)
+                    rows.append({"skill": skill, "index": job.base.index, "scene": job.base.scene, **result._asdict()})
+    except Exception as fault:
+        return lost_episode(job, fault)
+    return {"job": job.to_json(), "rows": rows, "failed": ""}
+
+
+def lost_episode(job: SkillJob, fault: BaseException) -> dict[str, Any]:
+    """The result of an episode that could not be played."""
+    return {"job": job.to_json(), "rows": [], "failed": reason_of(fault)}
+
+
+def evaluate_skills(
+    request: EvaluationRequest, out: Path, *, resume: bool = False, force: bool = False, workers: int = 1,
+    executor: str = "local", progress: Callable[..., Any] | None = None,
+) -> SkillEvaluationResult:  # fmt: skip
+    """Tries every learned skill in the same episodes, and writes results and a table to ``out``. Episodes whose results are
+    there already are not played again.
+
+    Args:
+        request: Episodes of rearrangement, and the skills.
+        out: Folder, new or that of an interrupted evaluation with the same options.
+        resume: Whether ``out`` must hold an evaluation to go on with.
+        force: Whether results in ``out`` are deleted first.
+        workers: Number of processes.
+        executor: Who starts them, as `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
+        progress: Makes a progress bar.
+
+    Raises:
+        InputError: an option cannot be, or the folder holds anything else.
+        FormatError: a file among the results is none.
+    """
+    check_workers(executor, workers)
+    if force and resume:
+        raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.")
+    jobs = [SkillJob(evaluation.base, request.seed) for evaluation in request.jobs()]
+    if not (skills := jobs[0].base.spec.skills):
+        raise InputError("Expected --skills: learned, a folder of training runs, or policy files of skills.")
+    folder = out / RESULTS
+    if resume and not folder.is_dir():
+        raise InputError(f"There is no evaluation to go on with; leave out --resume, or check -o: {out}")
+    with opened(executor, workers) as workforce:
+        claim_folder(out, force=force or folder.is_dir())
+        folder.mkdir(exist_ok=True)
+        if force:
+            for file in folder.glob("[0-9]*.json"):
+                file.unlink()
+        files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
+        wanted = [job for job in jobs if not _is_done(files[job.base.index], job)]
+        bar = None if progress is None else progress(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate",
+                                                     unit="episode")  # fmt: skip
+        with closing(workforce.run(judge_episode, wanted, lost=lost_episode)) as results:
+            for result in results:
+                write_text(files[result["job"]["episode"]["index"]], json.dumps(result) + "\n")
+                if bar is not None:
+                    bar.update()
+        if bar is not None:
+            bar.close()
+    played = [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs]
+    result = SkillEvaluationResult(
+        skills=skills, rows=tuple(row for one in played for row in one["rows"]), failed=_faults(jobs, played),
+        new=len(wanted),
+    )  # fmt: skip
+    write_text(out / "table.txt", result.to_text() + "\n")
+    write_text(out / "table.json", json.dumps(result.to_dict(), indent=2) + "\n")
+    return result
+
+
+def _faults(jobs: Sequence[SkillJob], played: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    return tuple(
+        f"episode {job.base.index} (seed {job.base.seed}): {one['failed']}"
+        for job, one in zip(jobs, played, strict=True)
+        if one["failed"]
+    )
+
+
+def _is_done(file: Path, job: SkillJob) -> bool:
+    """Whether the result of this very job is there and did not fail; another's is refused."""
+    if not file.is_file():
+        return False
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        was, failed = found["job"], found["failed"]
+    except (ValueError, KeyError, TypeError):
+        raise FormatError(f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}") from None
+    if was != job.to_json():
+        raise InputError(
+            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
+        )
+    return not failed

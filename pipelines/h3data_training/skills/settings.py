@@ -1,0 +1,101 @@
+"""What a training run of a skill does; recipes are settings with names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from h3data.bodies import load_robot
+from h3data.errors import InputError
+from h3data_training.settings import Settings
+from sim_kinematic.policies.pictured import BASE_ACTIONS, OF_SKILLS
+from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, check_skill
+
+OF_THE_BASE = ("target_gps_compass", "way", "range_scan", "egomotion")
+OF_THE_ARM = (*OF_THE_BASE, "target_sensor", "resting_sensor", "arm_joints", "is_holding")
+GRIPS: dict[Skill, float] = {"pick": 2.0, "place": 1.6}
+"""The command of the hand around which an actor explores at first. One that lets go at random never gets to know what comes
+after: around 1, robots learned not to take anything, since they dropped it again."""
+UNUSED = ("human", "walk", "follow_steps", "near_m", "critic_updates")
+"""Settings of social navigation that mean nothing here."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkillSettings(Settings):
+    """Settings of a run of one skill. Nobody else is there."""
+
+    skill: Skill = "nav"
+    episodes_per_home: int = 3
+    """Episodes of rearrangement, each with as many objects and goals to get to."""
+    starts: int = 32
+    """Of the robot in each of them."""
+    path_m: tuple[float, float] = (0.0, 1000.0)
+    """Least and greatest length of the path to the target at the start [m]. Shorter ones than those with which the skill is
+    judged let it learn the end first."""
+    near_share: float = 0.0
+    """Share of starts within a metre of where the target is reached from. A robot that has to get there first seldom gets to
+    know what comes then."""
+    limit: int = 300
+    """An episode is cut short after so many steps, as if its time were over: what a robot does that is stuck teaches little."""
+    observations: tuple[str, ...] = OF_THE_BASE
+    near_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_skill(self.skill)
+        super().__post_init__()
+        if self.network != "cnn_gru":
+            raise InputError(f"Skills have the network cnn_gru, not {self.network!r}.")
+        if not 0 <= self.near_share < 1:
+            raise InputError(f"Expected near_share from 0 to less than 1, got {self.near_share}.")
+        if min(self.starts, self.limit) < 1 or not 0 <= self.path_m[0] < self.path_m[1]:
+            raise InputError(
+                f"Expected starts and limit of at least 1 and path_m ascending, got {self.starts}, {self.limit}, {self.path_m}."
+            )
+
+    @property
+    def task(self) -> str:
+        return f"skill_{self.skill}"
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        return OF_SKILLS
+
+    @property
+    def critic(self) -> tuple[str, ...]:
+        return OF_THE_BASE if self.skill == "nav" else OF_THE_ARM
+
+    @property
+    def first_action(self) -> tuple[float, ...]:
+        still = (0.0,) * BASE_ACTIONS
+        return (
+            still
+            if self.skill == "nav"
+            else (*still, *(0.0 for _ in load_robot(self.robot).require_arm()), GRIPS[self.skill])
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        return {name: value for name, value in super().as_dict().items() if name not in UNUSED}
+
+
+_TINY = SkillSettings(
+    picture_size=(32, 24), worlds=512, rollout=16, hidden=48, act_width=64, critic_width=128, channels=(8, 16, 16),
+    features=32, rate=1.5e-3, warmup_updates=5, epochs=6, entropy=0.0, std=0.4, auxiliary=0.0, horizon=(100.0, 300.0),
+    teacher=3.0, minutes=10.0,
+)  # fmt: skip
+_ARM = replace(_TINY, skill="pick", observations=OF_THE_ARM, path_m=(0.0, 5.0), near_share=0.5)
+RECIPES: dict[str, dict[Skill, SkillSettings]] = {
+    "tiny": {"nav": _TINY, "pick": _ARM, "place": replace(_ARM, skill="place")},
+}
+"""``tiny``: one CPU core, and no pictures: the robot is told where its target is and where the path there begins."""
+
+
+def skill_recipe(name: str, skill: str, **changes: Any) -> SkillSettings:
+    """A recipe for a skill with some settings changed; None changes nothing.
+
+    Raises:
+        InputError: there is no such recipe or skill, or a value is out of range.
+    """
+    if name not in RECIPES:
+        raise InputError(f"Unknown recipe {name!r} of skills. Expected one of: {', '.join(RECIPES)}.")
+    assert set(RECIPES[name]) == set(SKILL_NAMES)
+    return replace(RECIPES[name][check_skill(skill)], **{k: v for k, v in changes.items() if v is not None})

@@ -1,0 +1,97 @@
+"""What the names of learned skills mean: files of weights, folders of them, and those that come with the package."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+from h3data.builtin import builtin_path
+from h3data.errors import FormatError, InputError
+from sim_kinematic.policies.learned import PREFIX, network_of, stamped
+from sim_kinematic.policies.pictured import PicturedNetwork
+from sim_kinematic.policies.skills.player import TASKS, LearnedSkill
+
+LEARNED = "learned"
+"""The three skills that come with the package."""
+SHIPPED = tuple(f"policies/{task}.npz" for task in TASKS)
+
+
+def recorded_skills(skills: str) -> str:
+    """The names of skills as recordings hold them: files of weights with the digests of what is in them, commas between;
+    ``learned@`` and one digest of all three for those that come with the package.
+
+    Args:
+        skills: `LEARNED`, a folder with policy files or with folders of training runs, policy files with commas between them,
+            or what this returns. Empty: none.
+
+    Raises:
+        InputError: there is no such file, it is none of a skill, two are for the same skill, or it is another than the name
+            says.
+    """
+    if not skills:
+        return ""
+    if skills.partition("@")[0] == LEARNED:
+        skills_of(skills)
+        return f"{LEARNED}@{_shipped_digest()}"
+    names = []
+    for word in skills.split(","):
+        path = Path(word.removeprefix(PREFIX))
+        names += (
+            [PREFIX + str(file) for file in _files_in(path)] if path.is_dir() else [PREFIX + word.removeprefix(PREFIX)]
+        )
+    found = ",".join(stamped(name) for name in names)
+    skills_of(found)
+    return found
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """The policy files in a folder, or of the training runs in it."""
+    runs = [file for file in sorted(folder.glob("*/policy.npz")) if file.is_file()]
+    files = runs or sorted(folder.glob("*.npz"))
+    if not files:
+        raise InputError(f"Expected policy files of skills, found none. Folder: {folder}")
+    return files
+
+
+def _shipped_digest() -> str:
+    from hashlib import sha256
+
+    digests = [network_of(PREFIX + str(builtin_path(file))).digest for file in SHIPPED]
+    return sha256("".join(digests).encode()).hexdigest()[:12]
+
+
+def skills_of(skills: str, *, robot: str = "") -> Mapping[str, LearnedSkill]:
+    """The learned skills that names mean, by the skills of the upper layer that they stand for.
+
+    Raises:
+        InputError: as `recorded_skills`.
+        FormatError: a file is for another robot.
+    """
+    if not skills:
+        return {}
+    word, _, digest = skills.partition("@")
+    if word == LEARNED:
+        if digest and digest != (own := _shipped_digest()):
+            raise InputError(f"The skills of this version are not those that {skills} names: their digest is {own}.")
+        return _found(tuple(PREFIX + str(builtin_path(file)) for file in SHIPPED), robot)
+    return _found(tuple(skills.split(",")), robot)
+
+
+@lru_cache(maxsize=8)
+def _found(names: tuple[str, ...], robot: str) -> Mapping[str, LearnedSkill]:
+    found: dict[str, LearnedSkill] = {}
+    for name in names:
+        network = network_of(name)
+        if not isinstance(network, PicturedNetwork):
+            raise FormatError(
+                f"Expected weights of a skill, these are for {network.task!r}. File: {name.removeprefix(PREFIX)}"
+            )
+        try:
+            skill = LearnedSkill(network, robot=robot)
+        except FormatError as fault:
+            raise FormatError(f"{fault} File: {name.removeprefix(PREFIX)}") from None
+        if twice := [one for one in skill.skills if one in found]:
+            raise InputError(f"Two of the files are for {twice[0]}. File: {name.removeprefix(PREFIX)}")
+        found |= dict.fromkeys(skill.skills, skill)
+    return found

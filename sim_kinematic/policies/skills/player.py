@@ -1,0 +1,135 @@
+"""Plays a learned skill: a network moves a robot's base, arm and hand until it has done what it should, or cannot any more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from h3data.errors import FormatError
+from h3data.geometry import Array
+from sim_kinematic.agents.robots.skills import RobotActor
+from sim_kinematic.agents.skills import Action, Ending, Skill
+from sim_kinematic.motion.spec import SkillSpec
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.policies.pictured import BASE_ACTIONS, PicturedNetwork
+from sim_kinematic.policies.skills.observations import SENSES, SkillView, observe
+
+TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
+"""The skills of the upper layer that a policy file stands for, by the task on its card."""
+FAR_M = 6.0
+"""``pick`` and ``place`` are not begun farther than this from their target."""
+
+
+class LearnedSkill:
+    """One learned skill of a robot; each time it starts, its recurrent state begins anew."""
+
+    def __init__(self, network: PicturedNetwork, *, robot: str = "", rules: SkillSpec | None = None) -> None:
+        """
+        Args:
+            network: The policy.
+            robot: Body that it moves; empty where nobody says.
+            rules: Of the skills.
+
+        Raises:
+            FormatError: it is for another task or robot, or is shown what skills are not shown.
+        """
+        card = network.card
+        if card.task not in TASKS:
+            raise FormatError(f"Expected weights for one of the tasks {', '.join(TASKS)}, these are for {card.task!r}.")
+        if robot and robot != card.robot:
+            raise FormatError(f"These weights drive the robot {card.robot}, the episode has {robot}.")
+        strangers = [name for name in card.observations if name not in SENSES]
+        if strangers:
+            raise FormatError(
+                f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(SENSES)}."
+            )
+        if (card.actions == BASE_ACTIONS) != (card.task == "skill_nav"):
+            raise FormatError(f"The weights for {card.task} have {card.actions} outputs, which is not what it takes.")
+        self.network, self.rules = network, rules or SkillSpec()
+
+    @property
+    def skills(self) -> tuple[str, ...]:
+        """The skills of the upper layer that it stands for."""
+        return TASKS[self.network.card.task]
+
+    def infeasible(self, actor: RobotActor, action: Action) -> str:
+        """As `sim_kinematic.agents.skills.LearnedSkill.infeasible`."""
+        if action.skill in ("nav_to_object", "nav_to_goal"):
+            return ""
+        gap = self._point(actor, action)[[0, 2]] - actor.xz
+        return "out_of_reach" if float(np.hypot(*gap)) > FAR_M else ""
+
+    def start(self, actor: RobotActor, action: Action) -> Skill:
+        """As `sim_kinematic.agents.skills.LearnedSkill.start`."""
+        point = self._point(actor, action)
+        stand = actor.open_stand(point)
+        if stand is None:
+            return Ending("failed", "no_way")
+        return (yield from self.play(actor, action, point, stand[:2]))
+
+    def play(self, actor: RobotActor, action: Action, point: Array, stand_xz: Array) -> Skill:
+        """Moves a robot to a point [3] that is reached from a place [2]."""
+        network, moves_arm = self.network, self.network.card.task != "skill_nav"
+        state, command = network.start(), np.zeros(network.outputs, np.float32)
+        before = actor.xz.copy(), actor.heading
+        held = actor.objects.held(actor.number) == action.target
+        step = 0
+        while step < (self.rules.arm_steps if moves_arm else self.rules.nav_steps):
+            if actor.aside is not None:
+                actor.step_aside()
+                yield
+                continue
+            view = self._view(actor, point, stand_xz, before)
+            if step % network.card.hold == 0:
+                out, state = network(observe(view, network.observations), command, state)
+                command = np.clip(np.nan_to_num(out, nan=0.0), -1, 1)
+            before = actor.xz.copy(), actor.heading
+            actor.follow(command, point[[0, 2]])
+            step += 1
+            yield
+            ending = self._ending(actor, action, point, stand_xz, before, held)
+            if ending is not None:
+                return ending
+            held = actor.objects.held(actor.number) == action.target
+        return Ending("failed", "timed_out")
+
+    def _point(self, actor: RobotActor, action: Action) -> Array:
+        to_object = action.skill in ("nav_to_object", "pick")
+        k = action.target
+        return (actor.objects.poses[k, :3] if to_object else actor.objects.goals[k]).copy()
+
+    def _view(self, actor: RobotActor, point: Array, stand_xz: Array, before: tuple[Array, float]) -> SkillView:
+        return SkillView(
+            free=actor.free, xz=actor.xz, heading=actor.heading, before=before, point=point, stand_xz=stand_xz,
+            hand=actor.hand_pose, resting=actor.resting_point, arm=actor.arm,
+            holds=actor.objects.held(actor.number) >= 0, beyond_m=actor.base.disc_radius_m / 2,
+        )  # fmt: skip
+
+    def _ending(
+        self, actor: RobotActor, action: Action, point: Array, stand_xz: Array, before: tuple[Array, float], held: bool
+    ) -> Ending | None:
+        """How it has ended in the last step, as in training; None: it goes on."""
+        rules, objects, k = self.rules, actor.objects, action.target
+        if action.skill in ("nav_to_object", "nav_to_goal"):
+            gap = point[[0, 2]] - actor.xz
+            straight = float(np.hypot(*gap))
+            cosine = float(gap @ [np.cos(actor.heading), -np.sin(actor.heading)]) / max(straight, 1e-9)
+            if straight >= rules.near_m or cosine <= rules.facing_dot:
+                return None
+            view = self._view(actor, point, stand_xz, before)
+            return Ending("done") if view.path_m < rules.near_m else None
+        folded = float(np.linalg.norm(actor.hand_pose[:3] - actor.resting_point)) < rules.rest_m
+        holds = objects.held(actor.number)
+        if action.skill == "pick":
+            if holds == k:
+                return Ending("done") if folded else None
+            if held:
+                return Ending("failed", "dropped")
+            if holds >= 0:
+                return Ending("failed", "wrong_object")
+            return None if objects.held_by[k] == NOBODY else Ending("failed", "held_by_other")
+        if holds == k:
+            return None
+        is_placed = objects.held_by[k] == NOBODY and float(np.linalg.norm(objects.poses[k, :3] - point)) < rules.place_m
+        if not is_placed:
+            return Ending("failed", "dropped" if holds < 0 else "wrong_object")
+        return Ending("done") if folded else None

@@ -1,0 +1,134 @@
+"""Where a robot begins to navigate, pick or place on its own: starts in episodes of rearrangement, for training and judging its
+learned skills."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.geometry import Array
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.robots.arm_clearance import arm_clearance
+from sim_kinematic.agents.stands import nearest_stand, robot_fits, robot_stands
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.motion.spec import SkillSpec
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+
+Skill = Literal["nav", "pick", "place"]
+SKILL_NAMES: tuple[Skill, ...] = get_args(Skill)
+CANDIDATES = 64
+"""Floor points that are looked at for one start."""
+ROUNDS = 8
+"""Attempts, each with as many, before a spot is given up."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SkillStart:
+    """A robot at rest that has one thing to do."""
+
+    skill: Skill
+    target: int
+    """Number of the object."""
+    holds: bool
+    """Whether that is in its hand."""
+    point: Array
+    """Where the object lies, or is to go, [3] [m]."""
+    stand_xz: Array
+    """The place nearest to the start, by the path there, from which the hand reaches the point, [2] [m]."""
+    xz: Array
+    """Where the robot stands, [2] [m]."""
+    heading: float
+    objects: Array
+    """Where the objects lie, [K, 3] [m]; of the one in the hand it has no meaning."""
+
+
+def check_skill(skill: str) -> Skill:
+    """The name of a skill.
+
+    Raises:
+        InputError: there is no such skill.
+    """
+    if skill not in SKILL_NAMES:
+        raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.")
+    return skill  # type: ignore[return-value]
+
+
+def distances_of(skill: Skill, rules: SkillSpec) -> tuple[float, float]:
+    """Least and greatest length of the path to the nearest stand with which a skill is judged [m]."""
+    return (rules.nav_start_m, np.inf) if skill == "nav" else (rules.arm_start_m, rules.arm_most_m)
+
+
+def draw_starts(
+    episode: RearrangeEpisode, skill: Skill, count: int, rng: np.random.Generator, *, robot: int = 0,
+    path_m: tuple[float, float] | None = None, any_spot: bool = False, rules: SkillSpec | None = None,
+) -> list[SkillStart]:  # fmt: skip
+    """So many starts of a robot of an episode for one skill; fewer where there is no room.
+
+    Args:
+        episode: Its home, objects and goals.
+        skill: Navigation leads to an object or, with it in the hand, to its goal.
+        count: Starts.
+        rng: Decides.
+        robot: Number of the agent.
+        path_m: Least and greatest length of the path to the nearest stand; None: those with which the skill is judged.
+        any_spot: Whether objects may be picked up at their goals, and put down where they lay, so that there is more to learn.
+        rules: Of the skills.
+    """
+    body = episode.roster[robot].body
+    base = base_of(body, episode.spec.robot)
+    floor = floor_of(body, base, episode.scene, episode.free)
+    fits = robot_fits(body, episode.spec.robot, episode.scene, episode.free)
+    clearance = arm_clearance(episode.scene, body, episode.free.floor_y)
+    least, most = path_m or distances_of(skill, rules or SkillSpec())
+    lies = np.array([target.start[:3] for target in episode.targets])
+    found: list[SkillStart] = []
+    spots = [(k, at_goal) for k in range(len(lies)) for at_goal in (False, True)]
+    if not any_spot:
+        spots = [(k, at_goal) for k, at_goal in spots if skill == "nav" or at_goal == (skill == "place")]
+    stands: dict[tuple[int, bool], Array] = {}
+    for number in rng.permutation(count):
+        k, at_goal = spots[number % len(spots)]
+        point = np.asarray(episode.targets[k].goal if at_goal else lies[k], np.float64)
+        if (k, at_goal) not in stands:
+            ring = robot_stands(floor, body, base, point)
+            stands[k, at_goal] = ring[[clearance.is_open(stand, point) for stand in ring]] if len(ring) else ring
+        place = _place(floor, stands[k, at_goal], rng, least, most, fits)
+        if place is None:
+            continue
+        stand = stands[k, at_goal][nearest_stand(floor, stands[k, at_goal], place[:2])[0]]
+        objects = lies.copy()
+        objects[k] = point
+        found.append(
+            SkillStart(
+                skill=skill, target=k, holds=skill == "place" or (skill == "nav" and at_goal), point=point,
+                stand_xz=stand[:2].copy(), xz=place[:2], heading=float(place[2]), objects=objects,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _place(
+    floor: FreeSpace,
+    stands: Array,
+    rng: np.random.Generator,
+    least: float,
+    most: float,
+    fits: Callable[[Array, float], bool],
+) -> NDArray[np.float64] | None:
+    """A place ``(x, z, heading)`` [3] at some distance from the nearest of the stands; None: none was found."""
+    if not len(stands):
+        return None
+    field = floor.distance_field(stands[:, :2])
+    for _ in range(ROUNDS):
+        points = floor.sample(rng, CANDIDATES)
+        headings = rng.uniform(-np.pi, np.pi, CANDIDATES)
+        lengths = field.distance(points)
+        for k in np.flatnonzero((lengths >= least) & (lengths <= most)).tolist():
+            if fits(points[k], float(headings[k])):
+                return np.append(points[k], headings[k])
+    return None

@@ -1,0 +1,93 @@
+"""A bank of starts for the skills: what needs searching (things on furniture, places to reach them from, starts clear of
+furniture) is done once on the host, so that steps on a device only look it up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.scene import FreeSpace, Scene
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.skill_starts import SkillStart
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SkillBank:
+    """N starts of one skill, all with as many objects."""
+
+    floors: tuple[FreeSpace, ...]
+    """Of the homes that are played in, for the robot's base."""
+    scenes: tuple[Scene, ...]
+    place: NDArray[np.int64]
+    """Number of the home, [N]."""
+    xz: NDArray[np.float64]
+    """Of the robot, [N, 2] [m]."""
+    heading: NDArray[np.float64]
+    """[N] [rad]."""
+    objects: NDArray[np.float64]
+    """[N, K, 3] [m]."""
+    target: NDArray[np.int64]
+    """Number of the object, [N]."""
+    holds: NDArray[np.bool_]
+    """Whether the robot holds it, [N]."""
+    point: NDArray[np.float64]
+    """Where it lies or is to go, [N, 3] [m]."""
+    stand: NDArray[np.float64]
+    """The nearest place from which the hand reaches the point, [N, 2] [m]."""
+
+    @classmethod
+    def of(cls, starts: Sequence[tuple[RearrangeEpisode, FreeSpace, Sequence[SkillStart]]]) -> SkillBank:
+        """The starts in some episodes, each with the floor for the robot's base.
+
+        Raises:
+            InputError: there are none, or a home is none that a device knows.
+        """
+        rows = [(episode, floor, start) for episode, floor, some in starts for start in some]
+        if not rows:
+            raise InputError("Expected at least one start of a skill, got none.")
+        homes = list({id(episode.scene): (episode.scene, floor) for episode, floor, _ in rows}.values())
+        if any(scene.articulations or len(floor.heights) for scene, floor in homes):
+            raise InputError(
+                "Skills are simulated on a device only in homes on one floor where nothing opens. Hint: h3-homes/train."
+            )
+        number = {id(scene): k for k, (scene, _) in enumerate(homes)}
+        found = [start for _, _, start in rows]
+        return cls(
+            floors=tuple(floor for _, floor in homes), scenes=tuple(scene for scene, _ in homes),
+            place=np.array([number[id(episode.scene)] for episode, _, _ in rows], np.int64),
+            xz=np.array([s.xz for s in found], np.float64), heading=np.array([s.heading for s in found], np.float64),
+            objects=np.array([s.objects for s in found], np.float64),
+            target=np.array([s.target for s in found], np.int64), holds=np.array([s.holds for s in found], np.bool_),
+            point=np.array([s.point for s in found], np.float64),
+            stand=np.array([s.stand_xz for s in found], np.float64),
+        )  # fmt: skip
+
+    @classmethod
+    def merged(cls, banks: Sequence[SkillBank]) -> SkillBank:
+        """The starts of several banks, one after the other."""
+        first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
+        columns = ("xz", "heading", "objects", "target", "holds", "point", "stand")
+        return cls(
+            floors=tuple(floor for bank in banks for floor in bank.floors),
+            scenes=tuple(scene for bank in banks for scene in bank.scenes),
+            place=np.concatenate([bank.place + n for bank, n in zip(banks, first[:-1], strict=True)]),
+            **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
+        )
+
+    def with_near(self, share: float, *, within_m: float = 1.0) -> SkillBank:
+        """The same starts, those within a distance of their stands repeated until they make up a share of all; as it is where
+        there are none, or enough."""
+        near = np.hypot(*(self.xz - self.stand).T) < within_m
+        missing = int(share * (~near).sum() / (1.0 - share)) - int(near.sum())
+        if not near.any() or missing <= 0:
+            return self
+        rows = np.concatenate([np.arange(len(self)), np.resize(np.flatnonzero(near), missing)])
+        columns = ("place", "xz", "heading", "objects", "target", "holds", "point", "stand")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
+
+    def __len__(self) -> int:
+        return len(self.place)

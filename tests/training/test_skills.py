@@ -1,0 +1,178 @@
+"""Training of skills: what a run leaves, that it resumes exactly, and that its file plays."""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from h3data.errors import InputError
+from h3data_pipelines.cli import main
+from h3data_training import run as runs
+from h3data_training.curve import curve_of
+from h3data_training.networks import ActorCritic, actor_numbers
+from h3data_training.ppo import schedule
+from h3data_training.run import POLICY, train
+from h3data_training.skills.episodes import make_skill_bank
+from h3data_training.skills.settings import OF_THE_ARM, SkillSettings, skill_recipe
+from h3data_training.skills.worlds import HeldSkills
+from sim_kinematic.policies.learned import network_of
+from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard
+from sim_kinematic.policies.skills.names import recorded_skills, skills_of
+from sim_kinematic.torch.skills.bank import SkillBank
+
+SMALL = replace(
+    skill_recipe("tiny", "pick"), scenes="small:1", episodes_per_home=1, starts=4, worlds=4, rollout=3, minibatches=2,
+    epochs=2, hidden=8, act_width=8, critic_width=8, updates=3,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bank() -> SkillBank:
+    return make_skill_bank(SMALL, seed=0, workers=1)
+
+
+@pytest.fixture(scope="module")
+def whole(bank: SkillBank, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of three updates."""
+    folder = tmp_path_factory.mktemp("whole")
+    said: list[str] = []
+    assert train(folder, SMALL, bank=bank, name="small", say=said.append).done
+    assert any("succeeded" in line and "decisions/s" in line for line in said)
+    return folder
+
+
+def arrays(folder: Path) -> dict[str, np.ndarray]:
+    network = network_of(f"weights:{folder / POLICY}")
+    assert isinstance(network, PicturedNetwork)
+    return dict(network.arrays)
+
+
+def test_a_run_leaves_a_policy_of_a_skill_and_its_curve(whole: Path) -> None:
+    assert [row["decisions"] for row in curve_of(whole)] == [12, 24, 36]
+    assert {"reward", "succeeded", "failed", "holding"} <= set(curve_of(whole)[0])
+    network = network_of(f"weights:{whole / POLICY}")
+    assert isinstance(network, PicturedNetwork)
+    card = network.card
+    assert (card.task, card.actions, card.observations, card.picture_size) == ("skill_pick", 10, OF_THE_ARM, None)
+    assert "walk" not in card.training["settings"]
+    assert set(skills_of(recorded_skills(str(whole / POLICY)), robot="quad_arm")) == {"pick"}
+
+
+def test_an_interrupted_run_comes_to_the_same_weights(
+    whole: Path, bank: SkillBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = threading.Event()
+
+    class Stopping:
+        def __enter__(self) -> threading.Event:
+            return stop
+
+        def __exit__(self, *error: object) -> None: ...
+
+    monkeypatch.setattr(runs, "stop_asked", Stopping)
+    first = train(tmp_path, SMALL, bank=bank, say=lambda line: stop.set() if "update 1 " in line else None)
+    assert not first.done
+    monkeypatch.undo()
+    assert train(tmp_path, SMALL, bank=bank, resume=True).done
+    for name, array in arrays(whole).items():
+        np.testing.assert_array_equal(arrays(tmp_path)[name], array, err_msg=name)
+
+
+def test_it_gives_what_pytorch_gives() -> None:
+    torch.manual_seed(1)
+    net = ActorCritic(SMALL)
+    network = PicturedNetwork(
+        card=PolicyCard(
+            task=SMALL.task, robot="quad_arm", observations=SMALL.observations, picture_size=None, hold=3, actions=10
+        ),
+        arrays=net.arrays(),
+    )
+    rng = np.random.default_rng(0)
+    sizes = {
+        "target_gps_compass": 2, "way": 2, "range_scan": 12, "egomotion": 3, "target_sensor": 3, "resting_sensor": 3,
+        "arm_joints": 7, "is_holding": 1,
+    }  # fmt: skip
+    state, last, kept = torch.zeros(1, 8), torch.zeros(1, 10), network.start()
+    for _ in range(10):
+        shown = {name: rng.normal(size=sizes[name]).astype(np.float32) for name in SMALL.observations}
+        batch = {name: torch.as_tensor(values)[None] for name, values in shown.items()}
+        with torch.no_grad():
+            mean, state = net.step(None, actor_numbers(batch, last, SMALL.observations), state)
+        out, kept = network(shown, last[0].numpy(), kept)
+        np.testing.assert_allclose(out, mean[0].numpy(), atol=2e-6)
+        np.testing.assert_allclose(kept, state[0].numpy(), atol=2e-6)
+        last = mean.clamp(-1, 1)
+
+
+def test_episodes_are_cut_short_and_count_once(bank: SkillBank) -> None:
+    worlds = HeldSkills(replace(SMALL, limit=6), bank, device="cpu")
+    worlds.reset(seed=[0, 1, 2, 3])
+    still = torch.zeros(4, 10)
+    over = [worlds.held(still)[2:5] for _ in range(3)]  # six steps, then a decision that begins the next episode
+    begun, timed_out, idle = over[2]
+    assert begun.all()
+    assert timed_out.all()
+    assert idle.all()
+    assert not any(flags[0].any() for flags in over[:2])
+    assert worlds.totals[HeldSkills.counts.index("ended")] == 4
+
+
+def test_settings_that_cannot_be_are_refused() -> None:
+    for change, message in (
+        ({"observations": ("humanoid_gps",)}, "humanoid_gps"),
+        ({"network": "resnet18_lstm"}, "cnn_gru"),
+        ({"path_m": (2.0, 1.0)}, "ascending"),
+        ({"skill": "fetch"}, "Unknown skill"),
+    ):
+        with pytest.raises(InputError, match=message):
+            SkillSettings(**change)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="without pictures so far"):
+        HeldSkills(replace(SMALL, observations=("arm_depth", "way")), None, device="cpu")  # type: ignore[arg-type]
+
+
+def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "skill", "nav", "--dry-run", "--json", "-o", str(tmp_path / "run")]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    assert plan["settings"]["skill"] == "nav"
+    assert not (tmp_path / "run").exists()
+    for words, message in (
+        (["skill"], "Unknown skill ''"),
+        (["skill", "nav", "--recipe", "fast"], "Unknown recipe 'fast' of skills"),
+        (["skill", "nav", "--walk", "paper"], "not of skill: --walk"),
+        (["social_nav", "nav"], "after the task skill only"),
+    ):
+        assert main(["train", *words, "-o", str(tmp_path / "run")]) == 2
+        assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("skill", ["nav", "pick", "place"])
+def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str) -> None:
+    own = replace(bank, holds=np.full(len(bank), skill == "place"))
+    worlds = HeldSkills(replace(SMALL, skill=skill, near_share=0.0), own, device="cpu")  # type: ignore[arg-type]
+    worlds.reset(seed=[0, 1, 2, 3])
+    for _ in range(80):
+        action = worlds.taught()
+        assert action.shape == (4, worlds.sim.action_width)
+        worlds.held(action)
+    total = dict(zip(HeldSkills.counts, worlds.totals.tolist(), strict=True))
+    assert total["succeeded"] >= 3
+    assert total["failed"] == 0
+
+
+def test_a_teachers_weight_comes_down_to_nothing() -> None:
+    weights = [schedule(SMALL, share, 10).teacher for share in (0.0, 0.3, 0.6, 1.0)]
+    assert weights == pytest.approx([3.0, 1.5, 0.0, 0.0])
+
+
+def test_starts_nearby_are_repeated(bank: SkillBank) -> None:
+    near = np.hypot(*(bank.xz - bank.stand).T) < 2.0
+    more = bank.with_near(0.9, within_m=2.0)
+    share = (np.hypot(*(more.xz - more.stand).T) < 2.0).mean()
+    assert near.mean() < share if 0 < near.mean() < 0.9 else len(more) == len(bank)
+    assert len(bank.with_near(0.0)) == len(bank)
