@@ -202,9 +202,9 @@ class OracleSpec:
     many steps, and at its goal in the step in which it is put down. Arms stay at rest.
     """
 
-    robot_steps: tuple[int, int] = (8, 14)
+    robot_steps: tuple[int, int] = (12, 14)
     """Steps of a robot's pick or place until the thing changes hands, and until its end: as long as ours take on average."""
-    person_steps: tuple[int, int] = (38, 68)
+    person_steps: tuple[int, int] = (46, 73)
     """The same of a person."""
     reach_m: float = 0.2
     """An agent is at a place within this distance,"""

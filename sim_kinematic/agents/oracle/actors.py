@@ -10,10 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import Array, pose_inverse, pose_multiply, wrap_angle
+from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.reach import reacher
+from h3data.geometry import IDENTITY_POSE, Array, pose_inverse, pose_multiply, wrap_angle
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
 from sim_kinematic.agents.oracle.ways import NONE, Ways
-from sim_kinematic.agents.person import Held
+from sim_kinematic.agents.person import CARRY, Held
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.driving import ARRIVED_M, FACING_RAD, NEARLY_M, STUCK_STEPS
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
@@ -64,6 +66,14 @@ class Errands:
         gap = errand.ways.ends - xz
         there = (gap[:, 0] ** 2 + gap[:, 1] ** 2 <= self.oracle.reach_m**2).any()
         return bool(there) and abs(error_rad) <= self.oracle.reach_rad
+
+
+def carry_point(body: Robot | Humanoid) -> Array:
+    """Where what an agent holds is in its root frame [3] [m]: in the hand of the folded arm, or before the chest."""
+    if isinstance(body, Robot):
+        frame = body.link_matrices(IDENTITY_POSE[None], body.rest[None])[0, body.hand_link]
+        return frame[:3, 3] + frame[:3, :3] @ body.hand_position
+    return np.array(CARRY) * reacher(body, "right").body.scale
 
 
 def _way(errand: Errand, number: int, xz: Array, within_m: float) -> tuple[int, float]:
@@ -167,7 +177,7 @@ class OraclePerson(PersonActor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._carry = np.append(self.person._carry_point("right"), (0.0, 0.0, 0.0, 1.0))
+        self._carry = np.append(carry_point(self.person.body), (0.0, 0.0, 0.0, 1.0))
 
     def infeasible(self, action: Action) -> str:
         if action.skill in (*PRIMITIVES, CONTROL):
