@@ -91,6 +91,11 @@ def of_object(values: Tensor, k: Tensor) -> Tensor:
     return values.gather(1, k[:, None])[:, 0]
 
 
+def one_of(number: Tensor, count: int) -> Tensor:
+    """Whether each of ``count`` things is the one with a number [W], bool [W, count]."""
+    return number[:, None] == torch.arange(count, device=number.device)
+
+
 def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
     """What `sim_kinematic.agents.skills.Objects.why_not` finds no fault with, bool, of choices [W] or, for all of them, [W, C]."""
     kind, k = choices.kind[number], choices.target[number]
@@ -232,7 +237,7 @@ def handle(
     who, k = choices.who, choices.target[does.skill.clamp_min(0)]
     timed = (kind >= PICK) & (does.skill != FREE)
     timer = torch.where(timed, does.timer + 1, does.timer)
-    one = torch.nn.functional.one_hot(k, hands.held_by.shape[1]).bool()
+    one = one_of(k, hands.held_by.shape[1])
     now = timed & (timer == choices.changes)
     places, picks = now & (kind == PLACE), now & (kind == PICK)
     misses = picks & ((of_object(hands.held_by, k) != NOBODY) | (of_object3(hands.objects, k) != spot).any(1))

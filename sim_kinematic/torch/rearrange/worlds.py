@@ -28,6 +28,7 @@ from sim_kinematic.torch.rearrange.skills import (
     interrupted,
     move_people,
     move_robots,
+    one_of,
 )
 from sim_kinematic.torch.rearrange.state import FREE, NOBODY, Errand, Play, choose
 from sim_kinematic.torch.rearrange.tables import Places, Tables
@@ -114,7 +115,7 @@ class RearrangeTensors:
         robot, robot_does, hands = self._robot(play, human, robot_choice, places, hands, floor_y)
         steps = play.steps + 1
         now = torch.stack([robot.xz, human.xz], 1)
-        row = torch.nn.functional.one_hot(steps % TRACK, TRACK).bool()
+        row = one_of(steps % TRACK, TRACK)
         play = play._replace(
             robot=robot, human=human, robot_does=robot_does, human_does=does, objects=hands.objects, held_by=hands.held_by,
             moved=hands.moved, placed_by=hands.placed_by, steps=steps, before=before,
