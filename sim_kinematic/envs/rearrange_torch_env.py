@@ -116,7 +116,7 @@ class RearrangeTorchEnv:
         self.bank = episodes
         self.sim = RearrangeTensors(
             episodes, device=self.device, dtype=dtype, planners=set(KINDS) - set(self.agents), partner=partner,
-            interrupts_when_close=interrupts_when_close,
+            interrupts="close" if interrupts_when_close else "never",
         )  # fmt: skip
         nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
         self._actions = {kind: torch.full_like(nothing, FREE) for kind in KINDS}
@@ -186,7 +186,7 @@ class RearrangeTorchEnv:
             prefix = f"{agent}_" if len(self.agents) > 1 else ""
             free = view.does.skill == FREE
             known |= {
-                f"{prefix}choosing": free | view.close if self.sim.interrupts else free,
+                f"{prefix}choosing": free | view.close if self.sim.interrupts == "close" else free,
                 f"{prefix}action_mask": view.allowed().to(torch.int8),
                 f"{prefix}last": view.does.last.clone(),
                 f"{prefix}outcome": view.does.outcome.clone(),

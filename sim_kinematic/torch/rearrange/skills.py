@@ -148,9 +148,9 @@ def begin(
     return Turn(does, torch.where(busy, kind, -1), busy & goes, spot)
 
 
-def interrupted(does: Errand, chosen: Tensor, close: Tensor) -> Errand:
-    """Agents outside that are close to the other and have chosen something else than what they are at."""
-    stops = (does.skill != FREE) & close & (chosen != FREE) & (chosen != does.skill)
+def interrupted(does: Errand, chosen: Tensor, may: Tensor) -> Errand:
+    """Agents that ``may`` [W] choose anew, and have chosen something else than what they are at."""
+    stops = (does.skill != FREE) & may & (chosen != FREE) & (chosen != does.skill)
     return does._replace(
         skill=torch.where(stops, FREE, does.skill),
         last=torch.where(stops, does.skill, does.last),

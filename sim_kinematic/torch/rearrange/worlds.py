@@ -9,6 +9,7 @@ within 1e-9 m in float64, everything else exactly.
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -47,7 +48,7 @@ class RearrangeTensors:
         dtype: torch.dtype | None = None,
         planners: Collection[str] = ("human",),
         partner: str = "plan_pop_4",
-        interrupts_when_close: bool = True,
+        interrupts: Literal["close", "always", "never"] = "close",
         repeats: bool = True,
     ) -> None:
         """
@@ -57,13 +58,14 @@ class RearrangeTensors:
             dtype: Of the state: float64 on the CPU, else float32.
             planners: Which of ``robot`` and ``human`` follow plans; the others are told what to do.
             partner: Whose plans those are (`sim_kinematic.policies.rearrange.PARTNERS`).
-            interrupts_when_close: Whether agents that are told may choose anew while the other is close.
+            interrupts: When agents that are told may choose anew before they are free: while the other is ``close``, as in
+                the environments, ``always`` or ``never``.
             repeats: Whether another episode begins when one is over; else the world stays as it is.
         """
         self.device = torch.device(device)
         self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
         self.bank, self.spec, self.planners = bank, bank.spec, frozenset(planners)
-        self.interrupts, self._repeats = interrupts_when_close, repeats
+        self.interrupts, self._repeats = interrupts, repeats
         self.oracle = bank.spec.oracle or OracleSpec()
         self.tables = Tables.of(bank, self.device, self.dtype)
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
@@ -157,7 +159,8 @@ class RearrangeTensors:
             number, does = planned(choices, does, hands, self.at_goal(hands, places))
             return does, number
         choice = choice.clamp(FREE, len(choices) - 1)
-        does = interrupted(does, choice, close) if self.interrupts else does
+        if self.interrupts != "never":
+            does = interrupted(does, choice, close if self.interrupts == "close" else torch.ones_like(close))
         return does, torch.where(choice == FREE, 4 * self.bank.objects, choice)
 
     def _judged(self, play: Play, places: Places) -> Play:
