@@ -97,6 +97,7 @@ class Pair:
 
     def step(self, chosen: np.ndarray, on_view: Any = None) -> None:
         self.state = self.sim.step(self.state, *(torch.tensor(chosen[:, k]) for k in range(2)))
+        at_goal = self.sim.at_goal(View.of(self.sim, self.state, "robot").hands, self.sim.tables.at(self.state.episode))
         for n, (play, turns) in enumerate(zip(self.plays, self.turns, strict=True)):
             if turns.over:
                 continue
@@ -110,14 +111,16 @@ class Pair:
                     turns.answer(self.known[KINDS[agent]][chosen[n, agent]])
                 else:  # it goes on, or waits
                     turns.answer(running.action if running.skill is not None else self.known[KINDS[agent]][8])
-            self.compare(n, play)
+            self.compare(n, play, at_goal[n])
+            if on_view is not None:
+                on_view(n, play)
             turns.go_on()
             assert bool(self.state.ended[n]) == turns.over
             if turns.over:
                 assert bool(self.state.success[n]) == (play.ended == "success")
                 self.seen[play.ended] += 1
 
-    def compare(self, n: int, play: RearrangePlay) -> None:
+    def compare(self, n: int, play: RearrangePlay, at_goal: Any) -> None:
         state = self.state
         for actor, own in zip(play.actors, (state.robot, state.human), strict=True):
             np.testing.assert_allclose(own.xz[n], actor.xz, rtol=0, atol=1e-9)
@@ -125,8 +128,7 @@ class Pair:
             np.testing.assert_allclose(turned, 1.0, rtol=0, atol=1e-9)
         np.testing.assert_allclose(state.objects[n], play.objects.poses[:, :3], rtol=0, atol=1e-9)
         np.testing.assert_array_equal(state.held_by[n], play.objects.held_by)
-        hands_free = self.sim.at_goal(state, self.sim.tables.at(state.episode))  # type: ignore[arg-type]
-        np.testing.assert_array_equal(hands_free[n], play.at_goal)
+        np.testing.assert_array_equal(at_goal, play.at_goal)
         assert bool(state.collides[n]) == play.collision
         assert float(state.reward[n]) == pytest.approx(play.reward, abs=1e-12)
         for agent, kind in enumerate(KINDS):
@@ -159,14 +161,14 @@ def test_the_same_choices_give_the_episodes_of_the_cpu(episodes: list[RearrangeE
 
 def test_planners_are_those_of_the_cpu(episodes: list[RearrangeEpisode]) -> None:
     through = [replace(e, spec=replace(e.spec, end_on_collision=False, max_steps=280)) for e in episodes]
-    ended: Counter[str] = Counter()
+    ended, spans = Counter[str](), Counter[str]()
     for outside in (("robot",), ("human",)):
-        pair, rng = Pair(through, outside=outside, partner="both"), np.random.default_rng(2)
+        pair, rng = Pair(through[:5], outside=outside, partner="both"), np.random.default_rng(2)
         while not all(turns.over for turns in pair.turns):
             pair.step(pair.random(rng))
-        assert count_spans(pair)["place done"] >= 6
-        ended += pair.seen
-    assert ended["success"] >= 3
+        spans, ended = spans + count_spans(pair), ended + pair.seen
+    assert spans["place done"] >= 10
+    assert ended["success"] >= 1
     assert ended["max_steps"] >= 1
 
 
@@ -183,27 +185,25 @@ def test_long_episodes_in_many_homes_are_those_of_the_cpu(seed: int) -> None:
 
 
 def test_what_agents_are_shown_is_what_the_cpu_shows(episodes: list[RearrangeEpisode]) -> None:
-    pair, rng = Pair(episodes[:4], outside=KINDS), np.random.default_rng(5)
-    off = []
-    for step in range(120):
-        pair.step(pair.random(rng))
-        if step % 3:
-            continue
+    pair, rng, off = Pair(episodes[:4], outside=KINDS), np.random.default_rng(5), []
+    names = tuple(name for name in OBSERVED if name not in ("last_done", "last_failed", "interrupted", "elapsed_s"))
+    shown: dict[str, Any] = {}
+
+    def compare(n: int, play: RearrangePlay) -> None:
+        if not n:
+            views = {kind: View.of(pair.sim, pair.state, kind) for kind in KINDS}
+            shown.update({kind: (observed(view, names), view.allowed()) for kind, view in views.items()})
         for agent, kind in enumerate(KINDS):
-            view = View.of(pair.sim, pair.state, kind)
-            names = tuple(name for name in OBSERVED if name not in ("last_done", "last_failed", "interrupted"))
-            shown, mask = observed(view, names), view.allowed()
-            for n, (play, turns) in enumerate(zip(pair.plays, pair.turns, strict=True)):
-                if turns.over:
-                    continue
-                seen = exact(play.view(agent), names)
-                known = pair.known[kind]
-                np.testing.assert_array_equal(mask[n], [not play.objects.why_not(agent, action) for action in known])
-                for name in names:
-                    if name in WAYS:
-                        off.append(np.abs(shown[name][n].numpy() - seen[name]))
-                    elif name != "elapsed_s":  # of the step to come
-                        np.testing.assert_allclose(shown[name][n], seen[name], rtol=0, atol=1e-5, err_msg=name)
+            mine, mask = shown[kind]
+            seen = exact(play.view(agent), names)
+            np.testing.assert_array_equal(mask[n], [not play.objects.why_not(agent, a) for a in pair.known[kind]])
+            off.extend(np.abs(mine[name][n].numpy() - seen[name]) for name in names if name in WAYS)
+            for name in EXACT:
+                if name in names:
+                    np.testing.assert_allclose(mine[name][n], seen[name], rtol=0, atol=1e-5, err_msg=name)
+
+    for step in range(90):
+        pair.step(pair.random(rng), compare if step % 3 == 0 and not pair.turns[0].over else None)
     assert len(off) > 100
     assert np.quantile(off, 0.5) < 0.02
     assert np.quantile(off, 0.9) < 0.5
