@@ -102,15 +102,11 @@ class RearrangeTorchEnv:
             )
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.")
-        self._names = checked_observations(
-            (observations,) if isinstance(observations, str) else tuple(observations)
-        )
+        self._names = checked_observations((observations,) if isinstance(observations, str) else tuple(observations))
         self.num_envs, self.device, self._partner = int(num_envs), checked_device(device), partner
         if not isinstance(episodes, RearrangeBank):
             rules = ORACLE_RULES if spec is None else spec
-            episodes = RearrangeBank.draw(
-                scenes, episodes, seed=episodes_seed, spec=rules, robot=robot, human=human
-            )
+            episodes = RearrangeBank.draw(scenes, episodes, seed=episodes_seed, spec=rules, robot=robot, human=human)
         elif spec is not None and spec != episodes.spec:
             raise InputError("The bank has rules of its own. Hint: leave out spec.")
         self.bank = episodes
@@ -123,6 +119,7 @@ class RearrangeTorchEnv:
         self.play: Play = self.sim.before_the_first(nothing)
         """Where all worlds are; these tensors are overwritten by every step."""
         self._shown: dict[str, Tensors] = {}
+        self._told: Tensors = {}
         self._begun = False
         self._graph = self.device.type == "cuda" if graph is None else graph
         compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
@@ -149,8 +146,8 @@ class RearrangeTorchEnv:
         """Move all worlds by 1/30 s, or begin their next episode: observations, rewards [W], terminated [W], truncated [W],
         info.
 
-        ``actions`` are numbers of choices, int64 [W], or by agent. Those of agents that are busy have no effect; -1 goes on with
-        what an agent is at, or waits. Larger ones count as the last choice: finding out would have to wait for the device.
+        ``actions`` are numbers of choices, int64 [W], or by agent. Those of agents that are busy have no effect; -1 goes on
+        with what an agent is at, or waits. Larger ones count as the last choice: finding out would have to wait for the device.
 
         Raises:
             InputError: the actions have another shape or are not whole numbers, or no episode has begun.
@@ -176,10 +173,28 @@ class RearrangeTorchEnv:
     def info(self) -> Tensors:
         """What is known beyond the observations, [W, ...] each; ``episode`` is a number in the bank. With two agents what each
         has of its own begins with ``robot_`` or ``human_``."""
+        return {name: tensor.clone() for name, tensor in self._told.items()}
+
+    def close(self) -> None:
+        """Nothing needs closing."""
+
+    # --- parts --------------------------------------------------------------------------------------------------------
+    def _eager(self) -> None:
+        """One step of all worlds, in place."""
+        self._shown, self._told = self._move()
+
+    def _moved(self) -> tuple[dict[str, Tensors], Tensors]:
+        after = self.sim.step(self.play, self._actions["robot"], self._actions["human"])
+        for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
+            tensor.copy_(value)
+        shown = {agent: observed(View.of(self.sim, self.play, agent), self._names) for agent in self.agents}
+        return shown, self._known()
+
+    def _known(self) -> Tensors:
         play = self.play
         known = {
-            "episode": play.episode.clone(), "steps": play.steps.clone(), "success": play.success.clone(),
-            "collision": play.collides.clone(), "held_by": play.held_by.clone(),
+            "episode": play.episode, "steps": play.steps, "success": play.success, "collision": play.collides,
+            "held_by": play.held_by,
         }  # fmt: skip
         for agent in self.agents:
             view = View.of(self.sim, self.play, agent)
@@ -188,24 +203,10 @@ class RearrangeTorchEnv:
             known |= {
                 f"{prefix}choosing": free | view.close if self.sim.interrupts == "close" else free,
                 f"{prefix}action_mask": view.allowed().to(torch.int8),
-                f"{prefix}last": view.does.last.clone(),
-                f"{prefix}outcome": view.does.outcome.clone(),
+                f"{prefix}last": view.does.last,
+                f"{prefix}outcome": view.does.outcome,
             }
         return known
-
-    def close(self) -> None:
-        """Nothing needs closing."""
-
-    # --- parts --------------------------------------------------------------------------------------------------------
-    def _eager(self) -> None:
-        """One step of all worlds, in place."""
-        self._shown = self._move()
-
-    def _moved(self) -> dict[str, Tensors]:
-        after = self.sim.step(self.play, self._actions["robot"], self._actions["human"])
-        for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
-            tensor.copy_(value)
-        return {agent: observed(View.of(self.sim, self.play, agent), self._names) for agent in self.agents}
 
     def _result(self) -> Any:
         """In tensors of their own: a graph writes into the same ones again."""
@@ -252,5 +253,7 @@ class RearrangeTorchEnv:
         models = {"robot": self.bank.robot.name, "human": self.bank.human.name}
         acting = {kind: models[kind] for kind in self.agents}
         others = {kind: f"{model} ({self._partner})" for kind, model in models.items() if kind not in self.agents}
-        what = in_words("rearrange", self.bank.scenes, len(self.bank.scenes), acting, beside=others, worlds=self.num_envs)
+        what = in_words(
+            "rearrange", self.bank.scenes, len(self.bank.scenes), acting, beside=others, worlds=self.num_envs
+        )
         return f"RearrangeTorchEnv({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"

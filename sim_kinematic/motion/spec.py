@@ -198,8 +198,8 @@ class ArmSpec:
 class OracleSpec:
     """Skills as Habitat's oracle ones, so simple that a device repeats them step for step (docs/rearrangement.md).
 
-    Nobody heeds anybody. Who stands at a place from which a thing is reached, and faces it, takes it: it is in the hand after so
-    many steps, and at its goal in the step in which it is put down. Arms stay at rest.
+    Nobody heeds anybody. An agent that stands at a place from which a thing is reached, and faces it, takes it: it is in the
+    hand after some steps, and at its goal in the step in which it is put down. Arms stay at rest.
     """
 
     robot_steps: tuple[int, int] = (12, 14)

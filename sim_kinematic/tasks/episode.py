@@ -90,7 +90,8 @@ class Outcome:
 
 def rules_dict(spec: Any) -> dict[str, Any]:
     """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, and where
-    nobody is solid, no floor moves and no skill is an oracle's there is none of that, as in those made before there were such rules."""
+    nobody is solid, no floor moves and no skill is an oracle's there is none of that, as in those made before there were such
+    rules."""
     rules = asdict(spec)
     for name in ("solid_agents", "floor_moves", "oracle"):
         if not rules.get(name, True):

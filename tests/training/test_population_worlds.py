@@ -1,4 +1,4 @@
-"""Rearrangement learned in worlds on a device: the same inputs, masks, scores and decisions as on CPU cores, and exact resume."""
+"""Rearrangement learned in worlds on a device: the same inputs, masks, scores and decisions as on CPU cores, exact resume."""
 
 from __future__ import annotations
 
@@ -66,16 +66,13 @@ def jobs_of(count: int, networks: dict[str, ChooserNetwork], partner: str = "bot
 # --- the network --------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("agent", [ROBOT, "human"])
 def test_inputs_and_scores_are_those_of_one_agent(agent: str) -> None:
-    rng, rows = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
     policy = network("partner_0" if agent == "human" else ROBOT, settings=replace(SMALL, population="learn_single"))
     known = limits(objects=2, arm=7 if agent == ROBOT else 0)
-    for _ in range(9):
-        rows.append(
-            {
-                n: rng.uniform(np.maximum(known[n].low, -40), np.minimum(known[n].high, 40)).astype(np.float32)
-                for n in OBSERVATIONS
-            }
-        )
+    rows = [
+        {n: rng.uniform(known[n].low.clip(-40), known[n].high.clip(None, 40)).astype(np.float32) for n in OBSERVATIONS}
+        for _ in range(9)
+    ]
     each, rest = encode({n: torch.tensor(np.array([r[n] for r in rows])) for n in OBSERVATIONS}, agent, 2)
     states = rng.normal(size=(9, 8)).astype(np.float32)
     scores, after = scored(arrays_of(policy, torch.device("cpu")), each, rest, torch.tensor(states))
@@ -153,7 +150,10 @@ def test_every_episode_is_accounted_for(episodes: Sequence[RearrangeEpisode], sh
 def test_other_seeds_play_otherwise(episodes: Sequence[RearrangeEpisode], short: None) -> None:
     players, policy = TensorPlayers(episodes, "cpu"), network()
     chosen = [
-        [p.decisions[ROBOT].chosen.tolist() for p in players.play([job._replace(seed=s) for job in jobs_of(3, {ROBOT: policy})])]
+        [
+            p.decisions[ROBOT].chosen.tolist()
+            for p in players.play([job._replace(seed=s) for job in jobs_of(3, {ROBOT: policy})])
+        ]
         for s in (1, 2)
     ]
     assert chosen[0] != chosen[1]

@@ -80,8 +80,8 @@ class Train:
     """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
     humanoid_gps,range_scan); there are also egomotion, humanoid_velocity, way and range_scan."""
     worlds: int | None = None
-    """Worlds that are stepped at once. rearrange: episodes of an update, with oracle skills and the paper's people, in worlds on
-    --device (default: none; episodes have our full rules and are played by --workers)."""
+    """Worlds that are stepped at once. rearrange: episodes of an update, with oracle skills and the paper's people, on --device
+    (default: none; episodes have our full rules and are played by --workers)."""
     hold: int | None = None
     """Steps of 1/30 s for which an action is held (default: 3)."""
     robot: str | None = None

@@ -110,8 +110,8 @@ def _kept(folder: Path, settings: PopulationSettings, seed: int) -> dict[str, An
 
 class _Run:
     def __init__(
-        self, folder: Path, settings: PopulationSettings, seed: int, players: Players | TensorPlayers, kept: dict[str, Any] | None,
-        began: float, say: Say,
+        self, folder: Path, settings: PopulationSettings, seed: int, players: Players | TensorPlayers,
+        kept: dict[str, Any] | None, began: float, say: Say,
     ) -> None:  # fmt: skip
         self.folder, self.settings, self.seed, self.say = folder, settings, seed, say
         self.players, self._began = players, began

@@ -268,4 +268,3 @@ def allowed(view: View) -> Tensor:
     arrived, going_on = (outcome == DONE) & (last == came), (outcome == ABORTED) & (last == numbers)
     may = torch.where(fetches, empty & lies, mine)
     return (kind > PLACE) | (may & ((arrived == handles) | going_on))
-

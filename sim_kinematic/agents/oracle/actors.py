@@ -204,7 +204,7 @@ class OraclePerson(PersonActor):
         return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
 
     def _go(self, errand: Errand) -> Skill:
-        """Walks straight from corner to corner, turning on the spot at each (`walk_humans`), and turns to what they came for."""
+        """Walks straight from corner to corner, turning on the spot at each, and at the end turns to what they came for."""
         ways, number, within = errand.ways, errand.ways.start(self.xz), self.spec.arrive_m
         while True:
             number, away = _way(errand, number, self.xz, within)
@@ -295,4 +295,3 @@ class DiscContacts(AgentContactTracker):
         if isinstance(actor, RobotActor):
             offsets, radius = actor.base.disc_offsets_m, actor.base.disc_radius_m
         return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]
-

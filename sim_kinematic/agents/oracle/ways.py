@@ -1,7 +1,7 @@
 """Shortest paths to fixed places as tables: where to go first from each cell of the floor, and from each corner of the paths.
 
-A path from anywhere is then a few look-ups, which a GPU does as fast as a CPU: to the corner that the cell names, from corner to
-corner, to the nearest place. All of it is exact but for the first leg, which is chosen for the middle of a cell
+A path from anywhere is then a few look-ups, which a GPU does as well as a CPU: to the corner that the cell names, from corner
+to corner, to the nearest place. All of it is exact but for the first leg, which is chosen for the middle of a cell
 (tests/sim/agents/test_oracle.py: lengths within 1% of `FreeSpace.geodesic`, at the median 0.01%).
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.geometry import Array
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
-from h3data.scene.freespace._visibility import Graph, locate, sees, visible_nodes
+from h3data.scene.freespace._visibility import Graph, sees, visible_nodes
 
 CELL_M = 0.2
 """Side of a cell. With 0.1 m paths are no shorter by 0.1%, the tables four times as large."""

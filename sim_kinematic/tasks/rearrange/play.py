@@ -264,7 +264,14 @@ class RearrangePlay:
             floor = floor_of(body, base, world.scene, world.free)
             if spec.oracle is not None:
                 return OracleRobot(
-                    body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, errands=errands_of(world, number)
+                    body,
+                    floor,
+                    base,
+                    self.objects,
+                    spec.grip_m,
+                    spec.arm_rad_s,
+                    number,
+                    errands=errands_of(world, number),
                 )
             return RobotActor(body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, clearance)
         x, z, heading = world.starts[number]

@@ -27,8 +27,8 @@ ROBOT, HUMAN, FLOOR = 0, 1, 2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RearrangeBank:
-    """N episodes of K objects in R homes. Paths to places are numbered ``(who * 2 + at_goal) * K + object``, F in all; points of
-    a path are the n corners of the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.Ways`)."""
+    """N episodes of K objects in R homes. Paths to places are numbered ``(who * 2 + at_goal) * K + object``, F in all; points
+    of a path are the n corners of the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.Ways`)."""
 
     spec: RearrangeSpec
     robot: Robot

@@ -1,4 +1,5 @@
-"""One turn of an agent: what it chooses, how it moves, what changes hands. `sim_kinematic.agents.oracle.actors`, line by line."""
+"""One turn of an agent: what it chooses, how it moves, what changes hands. It is `sim_kinematic.agents.oracle.actors`, line by
+line."""
 
 from __future__ import annotations
 
@@ -11,7 +12,6 @@ from torch import Tensor
 from h3data.bodies import Humanoid, Robot
 from sim_kinematic.agents.oracle.actors import AIMED_RAD, STALLED_STEPS, VIA_M, carry_point
 from sim_kinematic.agents.robots.driving import ARRIVED_M, FACING_RAD, NEARLY_M, STUCK_STEPS
-from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.agents.skills import CHOICE_WAIT_STEPS, PRIMITIVES
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, OracleSpec, WalkerSpec
 from sim_kinematic.torch.rearrange.state import ABORTED, DONE, FAILED, FREE, NOBODY, RUNNING, Errand
@@ -42,7 +42,9 @@ class Choices:
     """Step of a pick or a place in which the object changes hands."""
 
     @classmethod
-    def of(cls, body: Robot | Humanoid, objects: int, oracle: OracleSpec, device: torch.device, dtype: torch.dtype) -> Choices:
+    def of(
+        cls, body: Robot | Humanoid, objects: int, oracle: OracleSpec, device: torch.device, dtype: torch.dtype
+    ) -> Choices:
         """Of a robot or a person."""
         primitives = list(PRIMITIVES.values()) if isinstance(body, Robot) else []
         changes, ends = oracle.robot_steps if isinstance(body, Robot) else oracle.person_steps
@@ -97,7 +99,7 @@ def one_of(number: Tensor, count: int) -> Tensor:
 
 
 def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
-    """What `sim_kinematic.agents.skills.Objects.why_not` finds no fault with, bool, of choices [W] or, for all of them, [W, C]."""
+    """Whether `sim_kinematic.agents.skills.Objects.why_not` finds no fault with choices [W] or, for all of them, [W, C]."""
     kind, k = choices.kind[number], choices.target[number]
     flat = k if k.ndim == 2 else k[:, None]
     holder = hands.held_by.gather(1, flat).reshape(k.shape)
@@ -272,4 +274,3 @@ def _ended(does: Errand, done: Tensor, failed: Tensor) -> Errand:
         skill=torch.where(over, FREE, does.skill),
         outcome=torch.where(done, DONE, torch.where(failed, FAILED, does.outcome)),
     )
-

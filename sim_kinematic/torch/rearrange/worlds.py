@@ -87,8 +87,8 @@ class RearrangeTensors:
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: Play, robot: Tensor, human: Tensor) -> Play:
-        """All worlds after a step in which the agents choose ``robot`` and ``human``, int64 [W]; those that had ended at the start
-        of their next episode. Choices of planners, and of agents that are busy, have no effect; -1 goes on, or waits."""
+        """All worlds after a step in which the agents choose ``robot`` and ``human``, int64 [W]; those that had ended at the
+        start of their next episode. Choices of planners, and of agents that are busy, have no effect; -1 goes on, or waits."""
         if not self._repeats:
             return self._kept(play, robot, human)
         return self._begun(play, self._moved(play, robot, human), play.ended)
@@ -144,9 +144,7 @@ class RearrangeTensors:
         close = self.close(robot.xz, robot.heading, human.xz)
         does, choice = self._chosen("robot", choices, does, choice, close, hands, places)
         turn = begin(choices, does, choice, places, robot.xz, robot.heading, self._bearing, hands, self.oracle)
-        robot, does = move_robots(
-            choices, turn, robot, places, self._grids.at(places.place), self._base, self._bearing
-        )
+        robot, does = move_robots(choices, turn, robot, places, self._grids.at(places.place), self._base, self._bearing)
         root = torch.stack([robot.xz[:, 0], floor_y, robot.xz[:, 1]], -1)
         does, hands = handle(choices, turn.kind, does, hands, turn.spot, root, robot.heading)
         return robot, does, hands

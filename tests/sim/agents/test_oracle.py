@@ -67,7 +67,9 @@ def test_tables_hold_the_shortest_paths(floors: list[FreeSpace]) -> None:
             ways = ways_to(free, places)
             starts = free.sample(rng, 100)
             shortest = np.min([free.geodesic(starts, np.broadcast_to(p, starts.shape)) for p in places], 0)
-            longer += [walked(ways, start) / max(s, 0.5) - s / max(s, 0.5) for start, s in zip(starts, shortest, strict=True)]
+            longer += [
+                walked(ways, start) / max(s, 0.5) - s / max(s, 0.5) for start, s in zip(starts, shortest, strict=True)
+            ]
             off += (np.abs(ways.length(starts) - shortest) / np.maximum(shortest, 0.5)).tolist()
     assert max(np.median(longer), np.median(off)) < 1e-4
     assert np.quantile(longer, 0.95) < 0.01
@@ -162,7 +164,7 @@ def test_an_errand(episode: RearrangeEpisode, who: int) -> None:
             heading = actor.heading
             x, y, z = carry_point(body)
             c, s = math.cos(heading), math.sin(heading)
-            wanted = actor.xz + [c * x + s * z, -s * x + c * z]
+            wanted = actor.xz + np.array([c * x + s * z, -s * x + c * z])
             np.testing.assert_allclose(objects.poses[0, [0, 2]], wanted, atol=1e-9)
             assert objects.poses[0, 1] == pytest.approx(episode.free.floor_y + y)
     np.testing.assert_array_equal(objects.poses[0, :3], episode.targets[0].goal)

@@ -64,7 +64,9 @@ def bank(episodes: list[RearrangeEpisode]) -> RearrangeBank:
 class Pair:
     """Worlds on the device beside plays of the same episodes on the CPU."""
 
-    def __init__(self, episodes: Sequence[RearrangeEpisode], *, outside: Sequence[str], partner: str = "plan_pop_4") -> None:
+    def __init__(
+        self, episodes: Sequence[RearrangeEpisode], *, outside: Sequence[str], partner: str = "plan_pop_4"
+    ) -> None:
         self.bank = RearrangeBank.of(episodes)
         planners = set(KINDS) - set(outside)
         self.sim = RearrangeTensors(self.bank, device="cpu", planners=planners, partner=partner)
@@ -224,7 +226,10 @@ def test_the_ends_of_skills_are_shown() -> None:
 
 
 def test_float32_plays_nearly_the_same(episodes: list[RearrangeEpisode], bank: RearrangeBank) -> None:
-    sims = [RearrangeTensors(bank, device="cpu", dtype=t, planners=KINDS, partner="both") for t in (torch.float64, torch.float32)]
+    sims = [
+        RearrangeTensors(bank, device="cpu", dtype=t, planners=KINDS, partner="both")
+        for t in (torch.float64, torch.float32)
+    ]
     a, b = (sim.start(sim.before_the_first(torch.arange(len(bank)) - 1)) for sim in sims)
     nothing = torch.full((len(bank),), FREE)
     for _ in range(150):
@@ -248,7 +253,8 @@ def test_a_world_that_is_over_begins_its_next_episode(bank: RearrangeBank) -> No
     assert not play.terminated.any()
     play = sim.step(play, torch.zeros_like(nothing), nothing)
     assert torch.equal(play.episode, (torch.arange(len(bank)) + 1) % len(bank))
-    assert not (play.steps.any() or play.reward.any() or play.ended.any() or play.paid.any())
+    for column in (play.steps, play.reward, play.ended, play.paid):
+        assert not column.any()
     fresh = sim.start(sim.before_the_first(torch.arange(len(bank))))
     for mine, new in zip(play.tensors(), fresh.tensors(), strict=True):
         assert torch.equal(mine, new)
@@ -288,8 +294,7 @@ def test_runs_repeat_and_differ_by_seed(bank: RearrangeBank) -> None:
         env, rng = env_of(bank), np.random.default_rng(0)
         shown, _ = env.reset(seed=seed)
         rows = [shown]
-        for _ in range(40):
-            rows.append(env.step(torch.tensor(rng.integers(0, 13, 5)))[0])
+        rows += [env.step(torch.tensor(rng.integers(0, 13, 5)))[0] for _ in range(40)]
         return torch.cat([row["obj_gps_compass"] for row in rows])
 
     assert torch.equal(played(4), played(4))
@@ -307,7 +312,8 @@ def test_both_learn_and_info_says_who_chooses(bank: RearrangeBank) -> None:
     assert info["human_action_mask"].shape == (5, 9)
     _, reward, terminated, truncated, info = env.step({"robot": torch.zeros(5).long(), "human": torch.ones(5).long()})
     assert reward.dtype == torch.float32
-    assert not (terminated.any() or truncated.any())
+    assert not terminated.any()
+    assert not truncated.any()
     assert not info["robot_choosing"].all()
     assert torch.equal(info["robot_last"], torch.zeros(5).long())
     assert "robot quad_arm and human female_0" in repr(env)
@@ -328,7 +334,9 @@ def test_spaces(bank: RearrangeBank) -> None:
     env = env_of(bank, observations=("obj_gps_compass", "close"))
     shown, _ = env.reset(seed=0)
     assert env.action_space.nvec.tolist() == [13] * 5
-    assert {name: space.shape for name, space in env.observation_space.items()} == {n: t.shape for n, t in shown.items()}
+    assert {name: space.shape for name, space in env.observation_space.items()} == {
+        n: t.shape for n, t in shown.items()
+    }
     for row in range(5):
         assert env.single_observation_space.contains({name: t[row].numpy() for name, t in shown.items()})
 
@@ -433,6 +441,8 @@ def test_a_failed_choice_costs_a_step(bank: RearrangeBank) -> None:
     assert (play.human_does.outcome == FAILED).all()
     assert (play.robot_does.skill == FREE).all()
     assert torch.equal(play.robot.xz, sim.tables.starts[play.episode, 0, :2])
-    walks = sim.step(play, place, torch.full_like(place, 10))  # a person has no primitives, so it counts as the last choice
+    walks = sim.step(
+        play, place, torch.full_like(place, 10)
+    )  # a person has no primitives, so it counts as the last choice
     assert (walks.human_does.last == 8).all()
     assert Action("wait", steps=5) == choices(2, robot=False)[8]
