@@ -3,8 +3,9 @@ tensors, line by line."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -97,13 +98,7 @@ class OracleRobot(RobotActor):
         self.avoids = False
 
     def infeasible(self, action: Action) -> str:
-        why = self.objects.why_not(self.number, action)
-        if why or action.target < 0 or action.skill in PRIMITIVES:
-            return why
-        errand = self.errands.of(action, self.objects.poses)
-        if action.skill in ("nav_to_object", "nav_to_goal"):
-            return "no_way" if errand.ways.start(self.xz) == NONE else ""
-        return "" if self._at(errand) else "out_of_reach"
+        return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
         if action.skill in PRIMITIVES:
@@ -113,12 +108,12 @@ class OracleRobot(RobotActor):
         if action.skill == "wait":
             return self._move(0.0, 0.0, max(action.steps, 1))
         errand = self.errands.of(action, self.objects.poses)
-        return self._go(errand) if action.skill.startswith("nav") else self._handle(action, errand)
+        if action.skill.startswith("nav"):
+            return self._go(errand)
+        return _handling(self, action, errand, partial(self._step, 0.0, 0.0), self.errands.oracle.robot_steps)
 
-    def _at(self, errand: Errand) -> bool:
-        return self.errands.reaches(errand, self.xz, self._error(errand))
-
-    def _error(self, errand: Errand) -> float:
+    def facing_error(self, errand: Errand) -> float:
+        """By how much it must turn to have what it came for in its reach direction [rad]."""
         return self._error_to(errand.point[[0, 2]], reach_bearing(self.robot))
 
     def _go(self, errand: Errand) -> Skill:
@@ -134,7 +129,7 @@ class OracleRobot(RobotActor):
             number, away = _way(errand, number, self.xz, VIA_M)
             best = best if number == before else np.inf
             if is_there(away):
-                error = self._error(errand)
+                error = self.facing_error(errand)
                 left = 0.1 * abs(error) - 1.0
                 self._step(0.0, self._turn(error))
             else:
@@ -142,21 +137,12 @@ class OracleRobot(RobotActor):
                 self._drive(ways.points[number], away if number >= ways.corners else np.inf)
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
             yield
-            if is_there(float(np.hypot(*(ways.points[number] - self.xz)))) and abs(self._error(errand)) < FACING_RAD:
+            if (
+                is_there(float(np.hypot(*(ways.points[number] - self.xz))))
+                and abs(self.facing_error(errand)) < FACING_RAD
+            ):
                 return Ending("done")
         return Ending("failed", "stuck")
-
-    def _handle(self, action: Action, errand: Errand) -> Skill:
-        changes, ends = self.errands.oracle.robot_steps
-        for step in range(1, ends + 1):
-            self._step(0.0, 0.0)
-            if step == changes:
-                why = _hand_over(self, action, errand)
-                if why:
-                    yield
-                    return Ending("failed", why)
-            yield
-        return Ending("done")
 
     def take(self, k: int) -> None:
         """The object is in the hand, and keeps its direction."""
@@ -165,8 +151,8 @@ class OracleRobot(RobotActor):
         self.objects.state.grip_pose[0, k] = turn
         self.objects.poses[k] = pose_multiply(hand, turn)
 
-    def put(self, k: int) -> None:
-        """It is at its goal."""
+    def release(self) -> None:
+        """The hand is empty."""
 
 
 @dataclass(eq=False)
@@ -182,24 +168,18 @@ class OraclePerson(PersonActor):
     def infeasible(self, action: Action) -> str:
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
-        why = self.objects.why_not(self.number, action)
-        if why or action.target < 0:
-            return why
-        errand = self.errands.of(action, self.objects.poses)
-        if action.skill in ("nav_to_object", "nav_to_goal"):
-            return "no_way" if errand.ways.start(self.xz) == NONE else ""
-        return "" if self._at(errand) else "out_of_reach"
+        return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
         if action.skill == "wait":
             return self._wait(max(action.steps, 1))
         errand = self.errands.of(action, self.objects.poses)
-        return self._go(errand) if action.skill.startswith("nav") else self._handle_oracle(action, errand)
+        if action.skill.startswith("nav"):
+            return self._go(errand)
+        return _handling(self, action, errand, self._stand, self.errands.oracle.person_steps)
 
-    def _at(self, errand: Errand) -> bool:
-        return self.errands.reaches(errand, self.xz, self._error(errand))
-
-    def _error(self, errand: Errand) -> float:
+    def facing_error(self, errand: Errand) -> float:
+        """By how much they must turn to face what they came for [rad]."""
         dx, dz = errand.point[[0, 2]] - self.xz
         return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
 
@@ -209,12 +189,12 @@ class OraclePerson(PersonActor):
         while True:
             number, away = _way(errand, number, self.xz, within)
             if number >= ways.corners and away <= within:
-                self._turn_by(self._error(errand))
+                self._turn_by(self.facing_error(errand))
             else:
                 self._pace(ways.points[number])
             yield
             arrived = number >= ways.corners and np.hypot(*(ways.points[number] - self.xz)) <= within
-            if arrived and abs(self._error(errand)) < AIMED_RAD:
+            if arrived and abs(self.facing_error(errand)) < AIMED_RAD:
                 return Ending("done")
 
     def _turn_by(self, error_rad: float) -> None:
@@ -222,18 +202,6 @@ class OraclePerson(PersonActor):
         move_people(gait, gait.xz.copy(), gait.heading + min(max(error_rad, -most), most), self.spec)
         self.person.stride(gait)
         self._follow()
-
-    def _handle_oracle(self, action: Action, errand: Errand) -> Skill:
-        changes, ends = self.errands.oracle.person_steps
-        for step in range(1, ends + 1):
-            self._stand()
-            if step == changes:
-                why = _hand_over(self, action, errand)
-                if why:
-                    yield
-                    return Ending("failed", why)
-            yield
-        return Ending("done")
 
     def take(self, k: int) -> None:
         """The object is before their chest, turned as it was, and their right arm as if it held it."""
@@ -244,9 +212,8 @@ class OraclePerson(PersonActor):
         self.person.held = {"right": Held(name, np.array([0, 0, 0, 0, 0, 0, 1.0]), stood)}
         self._follow()
 
-    def put(self, k: int) -> None:
-        """It is at its goal, and their hand empty."""
-        del k
+    def release(self) -> None:
+        """Their hand is empty."""
         self.person.held = {}
 
     def _follow(self) -> None:
@@ -255,13 +222,42 @@ class OraclePerson(PersonActor):
             self.objects.poses[k] = pose_multiply(self.person.base, self._carry)
 
 
+def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
+    """Why a skill cannot start now; empty: it can."""
+    why = actor.objects.why_not(actor.number, action)
+    if why or action.target < 0:
+        return why
+    errand = actor.errands.of(action, actor.objects.poses)
+    if action.skill in ("nav_to_object", "nav_to_goal"):
+        return "no_way" if errand.ways.start(actor.xz) == NONE else ""
+    return "" if actor.errands.reaches(errand, actor.xz, actor.facing_error(errand)) else "out_of_reach"
+
+
+def _handling(
+    actor: OracleRobot | OraclePerson,
+    action: Action,
+    errand: Errand,
+    stands: Callable[[], None],
+    steps: tuple[int, int],
+) -> Skill:
+    """Stands for a pick or a place, in the course of which the object changes hands."""
+    changes, ends = steps
+    for step in range(1, ends + 1):
+        stands()
+        why = _hand_over(actor, action, errand) if step == changes else ""
+        yield
+        if why:
+            return Ending("failed", why)
+    return Ending("done")
+
+
 def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: Errand) -> str:
     """Takes an object or puts it down; returns why that fails."""
     objects, k = actor.objects, action.target
     if action.skill == "place":
         objects.held_by[k] = NOBODY
         objects.poses[k, :3] = errand.point
-        actor.put(k)
+        actor.release()
         return ""
     if objects.held_by[k] != NOBODY:
         return "held_by_other"
