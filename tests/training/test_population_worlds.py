@@ -22,16 +22,18 @@ from h3data_training.populations.pool import draw_pool, episodes_of  # noqa: E40
 from h3data_training.populations.run import CHECKPOINT, POLICY, train  # noqa: E402
 from h3data_training.populations.settings import ROBOT, PopulationSettings  # noqa: E402
 from h3data_training.populations.worlds import TensorPlayers, arrays_of, encode, scored  # noqa: E402
-from sim_kinematic.motion.spec import OracleSpec  # noqa: E402
+from sim_kinematic.motion.spec import HOME_WALKER, OracleSpec  # noqa: E402
 from sim_kinematic.policies.assignment import AssignedPolicy  # noqa: E402
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, ChooserNetwork, encoded  # noqa: E402
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser  # noqa: E402
 from sim_kinematic.policies.learned import network_of  # noqa: E402
-from sim_kinematic.policies.rearrange import planner  # noqa: E402
+from sim_kinematic.policies.rearrange import partner_plan, planner  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import limits  # noqa: E402
-from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode  # noqa: E402
+from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
 from sim_kinematic.tasks.rearrange.play import RearrangePlay  # noqa: E402
+from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import run  # noqa: E402
+from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 DRAWN = PopulationSettings(scenes="h3-homes/val#1", episodes_per_home=4, walk="paper")
@@ -202,3 +204,52 @@ def test_no_such_device(episodes: Sequence[RearrangeEpisode], tmp_path: Path) ->
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="no GPU"):
             train(tmp_path, SMALL, device="cuda", episodes=episodes)
+
+
+def test_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    from h3data_pipelines.cli import main
+
+    out = ["-o", str(tmp_path / "run")]
+    assert main(["train", "rearrange", "--worlds", "128", "--updates", "10", "--dry-run", *out]) == 0
+    said = capsys.readouterr().out
+    assert '"oracle": true' in said
+    assert '"episodes": 128' in said
+    assert '"chunks_per_minibatch": 48' in said
+    assert "10 updates with 1 worker" in said
+    for words, message in (
+        (("--device", "cuda"), "Without --worlds rearrange plays our full rules"),
+        (("--worlds", "0"), "at least 1 world"),
+        (("--worlds", "8", "--workers", "2"), "no --workers"),
+        (("--worlds", "8", "--gpus", "2"), "Options of social_nav, not of rearrange: --gpus"),
+    ):
+        assert main(["train", "rearrange", *words, *out]) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "run").exists()
+
+
+# --- judgement ----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
+def test_device_and_full_rules_judge_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same robot beside the same partners in the same episodes: success and steps with oracle skills, where agents pass
+    through each other, are near those of our full rules, where they give way (docs/gpu.md)."""
+    rules = RearrangeSpec(max_steps=750, human=HOME_WALKER)
+    source = EpisodeSource(Rearrange(), "h3-homes/test", spec=rules)
+    found = [source.sample(7, k) for k in range(30)]
+    episodes = [one for one in found if isinstance(one, RearrangeEpisode)]
+    robot, task = network_of("learn_single"), Rearrange()
+    assert isinstance(robot, ChooserNetwork)
+    seeds = [one.seed for one in episodes]
+    monkeypatch.setattr(populations, "ORACLE_RULES", replace(ORACLE_RULES, end_on_collision=False))
+    monkeypatch.setattr(populations, "episode_seed", lambda seed, number: seeds[number])  # plans are the episode's
+    jobs = [
+        Job(number=n, entry=n, partner=partner_plan("plan_pop_3", s), networks={ROBOT: robot}, seed=1, gamma=0.99)
+        for n, s in enumerate(seeds)
+    ]
+    device = [(p.ended == "success", p.steps) for p in TensorPlayers(episodes, "cpu").play(jobs)]
+    full = []
+    for episode in episodes:
+        play = task.play(episode, task.assign(episode, {"robot": "learn_single", "human": "plan_pop_3"}))
+        full.append((run(play) == "success", play.steps))
+    (success, steps), (full_success, full_steps) = (np.mean(rows, 0) for rows in (device, full))
+    assert abs(success - full_success) <= 0.1
+    assert abs(steps - full_steps) <= 0.2 * full_steps
