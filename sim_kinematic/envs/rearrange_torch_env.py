@@ -89,7 +89,7 @@ class RearrangeTorchEnv:
         from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES
         from sim_kinematic.torch.rearrange.bank import RearrangeBank
 
-        self.agents = (agents,) if isinstance(agents, str) else tuple(agents)
+        self.agents: tuple[str, ...] = (agents,) if isinstance(agents, str) else tuple(agents)
         if not self.agents or not set(self.agents) <= set(KINDS) or len(set(self.agents)) < len(self.agents):
             raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.")
         if len(self.agents) == len(KINDS) and partner is not None:
@@ -219,7 +219,9 @@ class RearrangeTorchEnv:
         """Of one world; with two agents by agent."""
         from sim_kinematic.envs.stepper import gymnasium
 
-        spaces = {agent: gymnasium.spaces.Discrete(len(self.sim.choices(agent))) for agent in self.agents}
+        spaces: dict[str, Space[Any]] = {
+            agent: gymnasium.spaces.Discrete(len(self.sim.choices(agent))) for agent in self.agents
+        }
         return gymnasium.spaces.Dict(spaces) if len(spaces) > 1 else spaces[self.agents[0]]
 
     @cached_property

@@ -72,7 +72,7 @@ def test_inputs_and_scores_are_those_of_one_agent(agent: str) -> None:
     policy = network("partner_0" if agent == "human" else ROBOT, settings=replace(SMALL, population="learn_single"))
     known = limits(objects=2, arm=7 if agent == ROBOT else 0)
     rows = [
-        {n: rng.uniform(known[n].low.clip(-40), known[n].high.clip(None, 40)).astype(np.float32) for n in OBSERVATIONS}
+        {n: rng.uniform(np.maximum(known[n].low, -40), np.minimum(known[n].high, 40)).astype(np.float32) for n in OBSERVATIONS}
         for _ in range(9)
     ]
     each, rest = encode({n: torch.tensor(np.array([r[n] for r in rows])) for n in OBSERVATIONS}, agent, 2)

@@ -186,19 +186,22 @@ class _Chooser:
 
     def decisions(self, rewards: np.ndarray, steps: Sequence[int], gamma: float) -> list[Decisions]:
         """Those of each world; ``rewards`` are [W, T], of which each world has played some ``steps``."""
-        columns = _Row(*(torch.stack(column, 1).cpu().numpy() for column in zip(*self._rows, strict=True)))
+        columns = {
+            name: torch.stack(column, 1).cpu().numpy()
+            for name, column in zip(_Row._fields, zip(*self._rows, strict=True), strict=True)
+        }
+        asked = columns.pop("asked")
         found = []
         for w, count in enumerate(steps):
-            asked = np.flatnonzero(columns.asked[w])
-            gains, spans = discounted(rewards[w, :count], asked.tolist(), gamma)
+            rows = np.flatnonzero(asked[w])
+            gains, spans = discounted(rewards[w, :count], rows.tolist(), gamma)
             found.append(
                 Decisions(
-                    each=columns.each[w, asked], rest=columns.rest[w, asked], state=columns.state[w, asked],
-                    allowed=columns.allowed[w, asked], chosen=columns.chosen[w, asked],
-                    log_prob=columns.log_prob[w, asked], gain=gains.astype(np.float32),
+                    **{name: column[w, rows] for name, column in columns.items()},
+                    gain=gains.astype(np.float32),
                     discount=np.append(gamma ** spans[:-1], 0.0).astype(np.float32),
                 )
-            )  # fmt: skip
+            )
         return found
 
 

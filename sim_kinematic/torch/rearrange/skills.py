@@ -172,13 +172,13 @@ def _go_on(turn: Turn, places: Places, xz: Tensor, within_m: float) -> tuple[Err
     point = places.points(does.field, does.way)
     gap = point - xz
     away = torch.hypot(gap[:, 0], gap[:, 1])
-    hops = turn.goes & (does.way < places.count) & (away <= within_m)
+    hops = turn.goes & (does.way < places.n) & (away <= within_m)
     way = torch.where(hops, places.after(does.field, does.way), does.way)
     point = torch.where(hops[:, None], places.points(does.field, way), point)
     gap = point - xz
     away = torch.where(hops, torch.hypot(gap[:, 0], gap[:, 1]), away)
     does = does._replace(way=way, best=torch.where(hops, torch.inf, does.best))
-    return does, point, away, way >= places.count
+    return does, point, away, way >= places.n
 
 
 def _is_there(does: Errand, away: Tensor, is_end: Tensor) -> Tensor:

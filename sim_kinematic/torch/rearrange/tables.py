@@ -75,7 +75,7 @@ class Places(NamedTuple):
     tables: Tables
     episode: Tensor
     place: Tensor
-    count: Tensor
+    n: Tensor
     """Corners of the home, int64 [W]."""
     corners_of: Tensor
     origin: Tensor
@@ -109,13 +109,13 @@ class Places(NamedTuple):
 
     def after(self, field: Tensor, number: Tensor) -> Tensor:
         """The points after corners [W] of paths [W]."""
-        count = self.count
+        count = self.n
         at = self.tables.after_of[self.episode] + field * count + torch.minimum(number.clamp_min(0), count - 1)
         return self.tables.after[at.clamp_max(len(self.tables.after) - 1)].long()
 
     def points(self, field: Tensor, number: Tensor) -> Tensor:
         """The points [W, ..., 2] with these numbers [W, ...] of paths [W, ...]."""
-        count = self._rows(self.count, field)
+        count = self._rows(self.n, field)
         corner = torch.minimum(number.clamp_min(0), (count - 1).clamp_min(0)) + self._rows(self.corners_of, field)
         corner = self.tables.corners[corner.clamp_max(len(self.tables.corners) - 1)]
         end = (number - count).clamp_min(0).clamp_max(self.tables.ends.shape[1] - 1)
@@ -129,7 +129,7 @@ class Places(NamedTuple):
         from_xz = xz[:, None].expand(-1, len(many), -1)
         number = self.first(field, from_xz)
         gap = self.points(field, number) - from_xz
-        size = self._rows(self.count + 1, field)
+        size = self._rows(self.n + 1, field)
         at = self._rows(self.tables.left_of[self.episode], field) + many * size + number.clamp_min(0)
         way = torch.hypot(gap[..., 0], gap[..., 1]) + self.tables.left[at]
         return torch.where(number < 0, torch.inf, way)
