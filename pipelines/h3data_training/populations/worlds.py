@@ -208,7 +208,7 @@ class _Chooser:
 # --- the network as tensors -----------------------------------------------------------------------------------------------
 def arrays_of(network: ChooserNetwork, device: torch.device) -> Arrays:
     """The weights of a chooser on a device."""
-    return {name: torch.as_tensor(array, device=device) for name, array in network.arrays.items()}
+    return {name: torch.as_tensor(np.array(array, order="C"), device=device) for name, array in network.arrays.items()}
 
 
 def encode(shown: Mapping[str, Tensor], agent: str, objects: int) -> tuple[Tensor, Tensor]:

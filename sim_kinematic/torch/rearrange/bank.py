@@ -187,7 +187,8 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
         )
     for episode in episodes:
         kinds = tuple(member.kind for member in episode.roster)
-        if kinds != PAIR or episode.roster != first.roster or len(episode.targets) != first.spec.objects:
+        models = [[member.model for member in one.roster] for one in (episode, first)]
+        if kinds != PAIR or models[0] != models[1] or len(episode.targets) != first.spec.objects:
             raise InputError(
                 f"A bank is of one robot, one person and {first.spec.objects} objects, got {kinds} and "
                 f"{len(episode.targets)}."
