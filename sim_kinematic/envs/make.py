@@ -30,7 +30,7 @@ def make(
         task: By name, ``module:Class``, or a `Task`.
         scenes: Where to play (`sim_kinematic.tasks.sources.EpisodeSource`).
         num_envs: W worlds as a Gymnasium vector environment; None is one world as a Gymnasium environment.
-        device: A torch device: worlds as tensors (social navigation only).
+        device: A torch device: worlds as tensors (social navigation and rearrangement).
         agents: Agents that act; several make a PettingZoo environment, which has one world.
         render_mode: ``rgb_array`` for ``render()``.
         **options: Those of the task's stepper (`sim_kinematic.envs.world_stepper.WorldStepper`,
@@ -117,10 +117,17 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
 def _on_device(
     task: Task, scenes: Scenes, num_envs: int | None, device: Any, agents: Sequence[str], options: dict[str, Any]
 ) -> Any:
+    worlds = 1 if num_envs is None else num_envs
+    if task.name == "rearrange":
+        from sim_kinematic.envs.rearrange_torch_env import RearrangeTorchEnv
+
+        return RearrangeTorchEnv(worlds, scenes, device=device, agents=agents, **options)
     if task.name != "social_nav":
-        raise InputError(f"Only social_nav runs on a torch device, not {task.name}. Hint: leave out device.")
+        raise InputError(
+            f"Only social_nav and rearrange run on a torch device, not {task.name}. Hint: leave out device."
+        )
     if tuple(agents) != ("robot",):
-        raise InputError("On a torch device only the robot acts. Hint: leave out agents or device.")
+        raise InputError("On a torch device only the robot acts in social_nav. Hint: leave out agents or device.")
     from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
 
-    return SocialNavTorchEnv(1 if num_envs is None else num_envs, scenes, device=device, **options)
+    return SocialNavTorchEnv(worlds, scenes, device=device, **options)

@@ -108,7 +108,7 @@ class SocialNavTorchEnv:
             raise InputError(f"On a device the reward is the paper's, not {reward!r}. Hint: leave out device.")
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.")
-        self.num_envs, self.device = int(num_envs), _checked_device(device)
+        self.num_envs, self.device = int(num_envs), checked_device(device)
         rules = spec or TRAINING
         bodies = {"robot": robot, "human": human}
         self._models = robot, human
@@ -142,7 +142,7 @@ class SocialNavTorchEnv:
             if self._graph and self._advance == self._eager:
                 self._advance = captured(self._eager, list(self.play.tensors()))
             if seed is not None:
-                self.play.episode.copy_(self._places(seed) - 1)
+                self.play.episode.copy_(places_in_bank(seed, self.num_envs, len(self.bank)) - 1)
             self.play.ended.fill_(True)
             self._action.zero_()
             self._advance()
@@ -229,14 +229,6 @@ class SocialNavTorchEnv:
         """In tensors of their own: a graph writes into the same ones again."""
         return {name: tensor.clone() for name, tensor in tensors.items()}
 
-    def _places(self, seed: int | Sequence[int]) -> Tensor:
-        """Where in the bank each world begins, [W]."""
-        seeds = [int(seed) + w for w in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
-        if len(seeds) != self.num_envs:
-            raise InputError(f"Expected one seed, or one for each of {self.num_envs} worlds, got {len(seeds)}.")
-        drawn = random(keys(seeds, "bank", device="cpu"), torch.zeros(self.num_envs, dtype=torch.int64), 1)[:, 0]
-        return (drawn * len(self.bank)).long().to(self.device)
-
     # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
     @cached_property
     def single_action_space(self) -> Box:
@@ -287,7 +279,12 @@ class SocialNavTorchEnv:
         return f"SocialNavTorchEnv({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"
 
 
-def _checked_device(device: torch.device | str) -> torch.device:
+def checked_device(device: torch.device | str) -> torch.device:
+    """The device of this name.
+
+    Raises:
+        InputError: there is none that this torch can use.
+    """
     try:
         chosen = torch.device(device)
     except RuntimeError as fault:
@@ -295,3 +292,16 @@ def _checked_device(device: torch.device | str) -> torch.device:
     if chosen.type == "cuda" and not torch.cuda.is_available():
         raise InputError("There is no GPU that this torch can use. Hint: device='cpu', or leave out device.")
     return chosen
+
+
+def places_in_bank(seed: int | Sequence[int], worlds: int, episodes: int) -> Tensor:
+    """Where in a bank of episodes each world begins whose runs are seed, seed + 1, ..., or those listed, [W].
+
+    Raises:
+        InputError: there is neither one seed nor one for each world.
+    """
+    seeds = [int(seed) + w for w in range(worlds)] if isinstance(seed, int | np.integer) else list(seed)
+    if len(seeds) != worlds:
+        raise InputError(f"Expected one seed, or one for each of {worlds} worlds, got {len(seeds)}.")
+    drawn = random(keys(seeds, "bank", device="cpu"), torch.zeros(worlds, dtype=torch.int64), 1)[:, 0]
+    return (drawn * episodes).long()

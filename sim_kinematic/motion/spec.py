@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
+from h3data.errors import InputError
+
 STEP_S = 1 / 30
 """Seconds per step. Habitat runs 30 steps/s and integrates 1/120 s of its velocity "units" in each, so its 10 is 2.5 m/s
 (spec/habitat.md 0)."""
@@ -231,3 +233,28 @@ class SkillSpec:
     """For putting the object at its goal, once."""
     lost: float = 0.5
     """Cost of taking another object or dropping the right one, which ends ``pick``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OracleSpec:
+    """Skills as Habitat's oracle ones, so simple that a device repeats them step for step (docs/rearrangement.md).
+
+    Nobody heeds anybody. An agent that stands at a place from which a thing is reached, and faces it, takes it: it is in the
+    hand after some steps, and at its goal in the step in which it is put down. Arms stay at rest.
+    """
+
+    robot_steps: tuple[int, int] = (12, 14)
+    """Steps of a robot's pick or place until the thing changes hands, and until its end: as long as ours take on average."""
+    person_steps: tuple[int, int] = (46, 73)
+    """The same of a person."""
+    reach_m: float = 0.2
+    """An agent is at a place within this distance,"""
+    reach_rad: float = 0.1
+    """and faces what it reaches for within this angle."""
+    person_radius_m: float = 0.2
+    """Agents touch where their discs do: this one of a person, and those of a robot's base."""
+
+    def __post_init__(self) -> None:
+        for changes, ends in (self.robot_steps, self.person_steps):
+            if not 1 <= changes <= ends:
+                raise InputError(f"Expected picks of 1 <= hand-over <= end steps, got {changes} and {ends}.")

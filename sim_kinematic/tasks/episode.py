@@ -90,10 +90,10 @@ class Outcome:
 
 def rules_dict(spec: Any) -> dict[str, Any]:
     """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, and where
-    nobody is solid, no floor moves and no skill is learned there is none of that, as in those made before there were such
-    rules."""
+    nobody is solid, no floor moves and no skill is learned or an oracle's there is none of that, as in those made before there
+    were such rules."""
     rules = asdict(spec)
-    for name in ("solid_agents", "floor_moves", "skills"):
+    for name in ("solid_agents", "floor_moves", "skills", "oracle"):
         if not rules.get(name, True):
             del rules[name]
     human = rules.get("human")

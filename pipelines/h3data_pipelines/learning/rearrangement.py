@@ -1,4 +1,5 @@
-"""``h3data train rearrange``: the upper layer of rearrangement beside a population of partners, on CPU cores."""
+"""``h3data train rearrange``: the upper layer of rearrangement beside a population of partners, on CPU cores or in
+worlds on a device."""
 
 from __future__ import annotations
 
@@ -20,6 +21,8 @@ CHECKPOINT_BYTES = 3 << 20
 STEPS_PER_CPU_S = 900
 """About what a core plays of two agents, learning included."""
 STEPS_PER_EPISODE = 600
+WORLD_STEPS_PER_CPU_S = 10_000
+"""The same of worlds with oracle skills on a CPU: 256 of them, which are stepped on one core."""
 
 
 def plan_rearrange(out: Path, settings: PopulationSettings, *, workers: int | None) -> Outcome:
@@ -30,13 +33,13 @@ def plan_rearrange(out: Path, settings: PopulationSettings, *, workers: int | No
 
 
 def train_rearrange(
-    out: Path, settings: PopulationSettings, *, seed: int, workers: int | None, resume: bool, force: bool,
+    out: Path, settings: PopulationSettings, *, seed: int, workers: int | None, device: str, resume: bool, force: bool,
     stop_after: float | None, episodes_file: Path | None,
 ) -> Outcome:  # fmt: skip
     """Trains in a folder, as `h3data_training.populations.run.train`.
 
     Raises:
-        InputError: the folder is not empty, or the disk is full.
+        InputError: the folder is not empty, the disk is full, or there is no such device.
     """
     from h3data_training.populations.run import CHECKPOINT, train
 
@@ -49,8 +52,8 @@ def train_rearrange(
             f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
         )
     result = train(
-        folder, settings, seed=seed, workers=workers, resume=resume, stop_after=stop_after, episodes_file=episodes_file,
-        say=say,
+        folder, settings, seed=seed, workers=workers, device=device, resume=resume, stop_after=stop_after,
+        episodes_file=episodes_file, say=say,
     )  # fmt: skip
     return Outcome(text=_summary(result, settings), data=_data(result), result=result)
 
@@ -59,8 +62,9 @@ def _cost(settings: PopulationSettings, workers: int | None) -> dict[str, float]
     """Rough cost of a run: workers, updates, episodes, steps, CPU seconds and bytes of checkpoints."""
     from h3data_training.populations.pool import default_workers
 
-    count = workers or default_workers()
-    seconds = settings.episodes * STEPS_PER_EPISODE / STEPS_PER_CPU_S
+    count = 1 if settings.oracle else workers or default_workers()
+    per_s = WORLD_STEPS_PER_CPU_S if settings.oracle else STEPS_PER_CPU_S
+    seconds = settings.episodes * STEPS_PER_EPISODE / per_s
     updates = settings.updates or 60 * settings.minutes * count / seconds
     return {
         "workers": count, "updates": round(updates), "episodes": round(updates) * settings.episodes,

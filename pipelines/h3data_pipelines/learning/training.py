@@ -1,5 +1,5 @@
 """``h3data train``: learns social navigation from pictures, on a GPU or, in small, on a CPU, the skills of a robot, and
-rearrangement beside populations of partners, on CPU cores."""
+rearrangement beside populations of partners, on CPU cores or in worlds on a device."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 OF_REARRANGE = ("population", "workers", "episodes_file")
 """Options that only rearrange has,"""
-OF_SOCIAL_NAV = ("recipe", "observations", "worlds", "hold", "init", "rollout", "minibatches", "follow_steps")
-"""those that only social_nav and skills have, beside the device and the number of GPUs,"""
+OF_SOCIAL_NAV = ("recipe", "observations", "hold", "init", "rollout", "minibatches", "follow_steps")
+"""those that only social_nav and skills have, beside the number of GPUs,"""
 NOT_OF_SKILLS = (*OF_REARRANGE, "walk", "follow_steps")
 """and those that skills do not have: nobody else is there."""
 TASKS = "social_nav, rearrange or skill"
@@ -48,6 +48,7 @@ class Train:
         h3data train rearrange --population learn_pop --workers 16 --updates 200 --resume -o out/learn_pop
         h3data train skill nav -o out/skills/nav
         h3data train skill pick --minutes 20 -o out/skills/pick
+        h3data train rearrange --population learn_single --worlds 1024 --device cuda -o out/learn_single
         h3data evaluate social_nav --policies weights:out/nav/policy.npz,rollout_expert -o out/table
     """
 
@@ -80,7 +81,7 @@ class Train:
     """rearrange: episodes to play, drawn and written where there is no such file, so that several runs share them (default:
     episodes.json.gz in the folder)."""
     device: str = "cpu"
-    """social_nav and skill: cpu, cuda or cuda:N."""
+    """Where worlds are: cpu, cuda or cuda:N. Of rearrange with --worlds."""
     scenes: str | None = None
     """Homes to learn in, as of h3data generate (default: h3-homes/train)."""
     observations: str | None = None
@@ -88,7 +89,8 @@ class Train:
     humanoid_gps,range_scan); there are also egomotion, humanoid_velocity, way and range_scan. Skills: target_gps_compass, way,
     range_scan, egomotion, and of pick and place target_sensor, resting_sensor, arm_joints and is_holding."""
     worlds: int | None = None
-    """Worlds that are stepped at once."""
+    """Worlds that are stepped at once. rearrange: episodes of an update, with oracle skills and the paper's people, on --device
+    (default: none; episodes have our full rules and are played by --workers)."""
     hold: int | None = None
     """Steps of 1/30 s for which an action is held (default: 3)."""
     robot: str | None = None
@@ -173,11 +175,16 @@ class Train:
 
     def _rearrange(self) -> Outcome:
         strangers = [f"--{name.replace('_', '-')}" for name in OF_SOCIAL_NAV if getattr(self, name) is not None]
-        strangers += ["--device"] * (self.device != "cpu") + ["--gpus"] * (self.gpus != 1)
+        strangers += ["--gpus"] * (self.gpus != 1)
         if strangers:
+            raise InputError(f"Options of social_nav, not of rearrange: {', '.join(strangers)}.")
+        if self.device != "cpu" and self.worlds is None:
             raise InputError(
-                f"Options of social_nav, not of rearrange, which learns on CPU cores: {', '.join(strangers)}."
+                f"Without --worlds rearrange plays our full rules, on CPU cores: --device {self.device} has no effect. "
+                "Hint: --worlds 1024."
             )
+        if self.worlds is not None and (self.worlds < 1 or self.workers is not None):
+            raise InputError(f"Expected at least 1 world and no --workers, got --worlds {self.worlds}.")
         if self.workers is not None and self.workers < 1:
             raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.")
         from h3data_pipelines.learning.rearrangement import plan_rearrange, train_rearrange
@@ -187,11 +194,13 @@ class Train:
             population=self.population, minutes=self.minutes, updates=self.updates, scenes=self.scenes, robot=self.robot,
             walk=self.walk,
         )  # fmt: skip
+        if self.worlds is not None:
+            settings = settings.in_worlds(self.worlds)
         if self.dry_run:
             return plan_rearrange(self.out, settings, workers=self.workers)
         return train_rearrange(
-            self.out, settings, seed=self.seed, workers=self.workers, resume=self.resume, force=self.force,
-            stop_after=self.stop_after, episodes_file=self.episodes_file,
+            self.out, settings, seed=self.seed, workers=self.workers, device=self.device, resume=self.resume,
+            force=self.force, stop_after=self.stop_after, episodes_file=self.episodes_file,
         )  # fmt: skip
 
 

@@ -182,6 +182,10 @@ class Players:
         """Number of episodes to choose from."""
         return len(self._episodes)
 
+    def warm_up(self, jobs: Sequence[Job]) -> None:
+        """Compiles and loads code once, before there are several processes, by playing some episodes."""
+        self.play(jobs)
+
     def play(self, jobs: Sequence[Job]) -> list[Played]:
         """Plays some episodes, in their order; those that raise are left out.
 

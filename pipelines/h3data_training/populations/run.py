@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import timedelta
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -22,16 +22,20 @@ from h3data_training.populations.playing import Job, Played, Players
 from h3data_training.populations.pool import default_workers, episodes_of, homes_of, pool_of, pool_order
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from h3data_training.running import SPARE_S, Result, Say, is_over, one_thread, share_of, stop_asked
+from sim_kinematic.envs.social_nav_torch_env import checked_device
 from sim_kinematic.policies.pictured import save_pictured
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+
+if TYPE_CHECKING:
+    from h3data_training.populations.worlds import TensorPlayers
 
 CHECKPOINT, POLICY, EPISODES = "checkpoint.pt", "policy.npz", "episodes.json.gz"
 FORMAT = "h3data.populations/1"
 
 
 def train(
-    folder: Path, settings: PopulationSettings, *, seed: int = 0, workers: int | None = None, resume: bool = False,
-    stop_after: float | None = None, checkpoint_s: float = 30.0, episodes_file: Path | None = None,
+    folder: Path, settings: PopulationSettings, *, seed: int = 0, workers: int | None = None, device: str = "cpu",
+    resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0, episodes_file: Path | None = None,
     episodes: Sequence[RearrangeEpisode] | None = None, say: Say = lambda text: None,
 ) -> Result:  # fmt: skip
     """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
@@ -44,6 +48,7 @@ def train(
         settings: What is trained.
         seed: Everything random follows from it.
         workers: Processes that play; None is one for each core. 1 plays here.
+        device: Where worlds with oracle skills are (`PopulationSettings.oracle`).
         resume: Go on from the checkpoint in the folder, if there is one.
         stop_after: Minutes of this call, set-up included; None: until the run is over.
         checkpoint_s: Seconds between two checkpoints.
@@ -61,19 +66,32 @@ def train(
     count = workers or default_workers()
     if count < 1:
         raise InputError(f"Expected at least 1 worker, got {count}.")
+    if settings.oracle:
+        checked_device(device)
     kept = _kept(folder, settings, seed) if resume else None
     with stop_asked() as stop:
         if episodes is None:
             file = episodes_file or folder / EPISODES
             episodes = episodes_of(pool_of(settings, file, workers=count), settings)
         say(f"{len(episodes)} episodes in {homes_of(episodes)} homes after {time.time() - began:.0f} s")
-        players = Players(episodes, count, say=say)
+        players = _players(episodes, settings, count, device, say)
         try:
             with one_thread("cpu"):
                 run = _Run(folder, settings, seed, players, kept, began, say)
                 return run.go(stop, stop_after=stop_after, checkpoint_s=checkpoint_s)
         finally:
             players.close()
+
+
+def _players(
+    episodes: Sequence[RearrangeEpisode], settings: PopulationSettings, workers: int, device: str, say: Say
+) -> Players | TensorPlayers:
+    """Processes with the full rules, or worlds on a device."""
+    if not settings.oracle:
+        return Players(episodes, workers, say=say)
+    from h3data_training.populations.worlds import TensorPlayers
+
+    return TensorPlayers(episodes, device)
 
 
 def _kept(folder: Path, settings: PopulationSettings, seed: int) -> dict[str, Any] | None:
@@ -92,8 +110,8 @@ def _kept(folder: Path, settings: PopulationSettings, seed: int) -> dict[str, An
 
 class _Run:
     def __init__(
-        self, folder: Path, settings: PopulationSettings, seed: int, players: Players, kept: dict[str, Any] | None,
-        began: float, say: Say,
+        self, folder: Path, settings: PopulationSettings, seed: int, players: Players | TensorPlayers,
+        kept: dict[str, Any] | None, began: float, say: Say,
     ) -> None:  # fmt: skip
         self.folder, self.settings, self.seed, self.say = folder, settings, seed, say
         self.players, self._began = players, began
@@ -103,7 +121,7 @@ class _Run:
         if kept is not None:
             self._restore(kept)
         self.events = EventLog(folder, self.curve)
-        self.players.play(self._jobs(0)[:1])  # code is compiled and loaded once, before there are several processes
+        self.players.warm_up(self._jobs(0)[:1])
         self.setup_s = self.elapsed()
         self.setups_s += self.setup_s
         say(
@@ -252,7 +270,8 @@ class _Run:
         return {
             "population": self.settings.population, "seed": self.seed, "updates": len(self.curve),
             **{name: int(last.get(name, 0)) for name in ("episodes", "decisions", "steps")},
-            "seconds": round(self.seconds, 1), "workers": self.players.workers, "device": "cpu",
+            "seconds": round(self.seconds, 1), "workers": self.players.workers,
+            "device": str(getattr(self.players, "device", "cpu")),
             "torch": str(torch.__version__), "h3data": own, "settings": self.settings.as_dict(),
             "last_update": {name: round(last[name], 4) for name in shown if name in last},
         }  # fmt: skip

@@ -42,6 +42,9 @@ class PopulationSettings:
     walk: str = BOTH
     """How people walk: ``natural``, in episodes of 1,500 steps, ``paper`` (2.5 m/s, 750 steps), or ``both``: each in one half
     of the episodes, for a robot that plays beside either."""
+    oracle: bool = False
+    """Whether episodes have oracle skills, and are played in worlds on a device, all of an update at once
+    (`h3data_training.populations.worlds`). They have the paper's people, whoever they were drawn for."""
     think_steps: int = 30
     """A learner on its way thinks again after so many steps."""
 
@@ -124,6 +127,11 @@ class PopulationSettings:
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as they stand in checkpoints and cards."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def in_worlds(self, worlds: int) -> PopulationSettings:
+        """The same with oracle skills in so many worlds; an update has as many minibatches as before."""
+        per_episode = PopulationSettings.chunks_per_minibatch / PopulationSettings.episodes
+        return replace(self, oracle=True, episodes=worlds, chunks_per_minibatch=max(1, round(worlds * per_episode)))
 
     def changed(self, **changes: Any) -> PopulationSettings:
         """The same with some settings changed; None changes nothing."""

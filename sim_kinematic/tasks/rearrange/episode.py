@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -36,7 +36,7 @@ from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, STEP_S, BaseSpec, OracleSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.policies.skills.names import recorded_skills
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
@@ -103,10 +103,17 @@ class RearrangeSpec:
     floor_moves: bool = field(default=False, repr=False)
     """Whether what opens and closes takes floor and gives it back. So it is in all episodes that are sampled in homes where
     something opens; those from before 0.3 know nothing of it."""
+    oracle: OracleSpec | None = field(default=None, repr=False)
+    """How skills are simplified to those of Habitat's oracles; None: they are not. `ORACLE_RULES` are the rules for them."""
 
     skills: str = field(default="", repr=False)
     """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not
     name know all."""
+
+    def __repr__(self) -> str:
+        # uids of episodes are made of it: those from before there were oracle skills stay as they were
+        shown = [f for f in fields(self) if f.repr or (f.name == "oracle" and self.oracle is not None)]
+        return f"RearrangeSpec({', '.join(f'{f.name}={getattr(self, f.name)!r}' for f in shown)})"
 
     def __post_init__(self) -> None:
         if self.people_give_way is None:
@@ -119,6 +126,12 @@ class RearrangeSpec:
             raise InputError(
                 f"Expected at least 1 step and 1 object, got {self.max_steps} steps, {self.objects} objects."
             )
+
+
+ORACLE_RULES = RearrangeSpec(
+    max_steps=750, robot=BaseSpec(), human=WalkerSpec(), arm_rad_s=math.inf, people_give_way=False, oracle=OracleSpec()
+)
+"""The paper's robot and person with oracle skills: what `h3data.make("rearrange", device=...)` plays."""
 
 
 def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:

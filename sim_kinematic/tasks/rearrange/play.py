@@ -24,6 +24,7 @@ from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.opening.doorways import Doorways
 from sim_kinematic.agents.opening.openables import Openables
+from sim_kinematic.agents.oracle.actors import DiscContacts, OraclePerson, OracleRobot
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import PersonActor
@@ -44,6 +45,7 @@ from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.episode import agent_base
 from sim_kinematic.tasks.play import Columns
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
+from sim_kinematic.tasks.rearrange.oracle import errands_of
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 
 Row = dict[str, Any]
@@ -234,10 +236,13 @@ class RearrangePlay:
         # a robot gives way to a person by itself, and the person to nobody: as Habitat's, or as whoever drives them decides
         is_pair = kinds_of(world.roster) == PAIR
         driven = any(policy.takes_commands for policy in self.policies if policy.kind == "human")
-        alone = len(self.actors) == 1 or (is_pair and (driven or not world.spec.people_give_way))
+        oracle = world.spec.oracle
+        alone = len(self.actors) == 1 or (is_pair and (driven or not world.spec.people_give_way)) or oracle is not None
         solid = world.spec.solid_agents and driven
-        self.encounters = AgentContactTracker(
-            world.roster, self.actors, people_see_robot=solid or not (alone and is_pair)
+        self.encounters = (
+            AgentContactTracker(world.roster, self.actors, people_see_robot=solid or not (alone and is_pair))
+            if oracle is None
+            else DiscContacts(world.roster, self.actors, oracle.person_radius_m)
         )
         self.right_of_way = None if alone else RightOfWay(world.free, self.actors)
         for actor in self.actors:
@@ -258,6 +263,17 @@ class RearrangePlay:
         if isinstance(body, Robot):
             base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
             floor = floor_of(body, base, world.scene, world.free)
+            if spec.oracle is not None:
+                return OracleRobot(
+                    body,
+                    floor,
+                    base,
+                    self.objects,
+                    spec.grip_m,
+                    spec.arm_rad_s,
+                    number,
+                    errands=errands_of(world, number),
+                )
             learned = skills_of(spec.skills, robot=world.roster[number].model)
             return RobotActor(
                 body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, clearance, learned=learned
@@ -268,6 +284,9 @@ class RearrangePlay:
         room = reach_room(world.scene, body, world.free.floor_y)
         sizes = grip_radii(world.scene, self.objects.names)
         person = Person(body, base, objects, spec=spec.human, free=world.free, sizes=sizes)
+        if spec.oracle is not None:
+            errands = errands_of(world, number)
+            return OraclePerson(person, world.free, spec.human, self.objects, number, errands=errands)
         if not self.policies[number].takes_commands:
             return PersonActor(person, world.free, spec.human, self.objects, number, room)
         return DrivenPerson(

@@ -1,0 +1,273 @@
+"""Training episodes with oracle skills, as many at once as an update has, in worlds on a device
+(`sim_kinematic.torch.rearrange`): the same decisions as `h3data_training.populations.playing` gathers.
+
+What an update plays follows from the weights, the seed, and the numbers of its episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data_training.populations.playing import Decisions, Job, Played, discounted
+from h3data_training.populations.settings import ROBOT
+from sim_kinematic.motion.randomness import episode_seed
+from sim_kinematic.policies.choosers.chooser_network import (
+    ENCODINGS,
+    OBSERVATIONS,
+    SKILLS_WITH_OBJECT,
+    ChooserNetwork,
+    rest_count,
+)
+from sim_kinematic.policies.choosers.recurrent_chooser import CLOSE_STEPS
+from sim_kinematic.policies.rearrange import planner
+from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
+from sim_kinematic.torch.rearrange.bank import RearrangeBank, orders
+from sim_kinematic.torch.rearrange.observations import View, observed
+from sim_kinematic.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLACE, every_choice, of_object
+from sim_kinematic.torch.rearrange.state import ABORTED, DONE, FREE, NOBODY, Play
+from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
+
+LOOKS_EVERY = 25
+"""Steps after which it is looked whether all episodes are over: that waits for the device."""
+Arrays = Mapping[str, Tensor]
+
+
+class TensorPlayers:
+    """Plays training episodes in worlds on a device; what `h3data_training.populations.playing.Players` is with processes."""
+
+    workers = 1
+
+    def __init__(self, episodes: Sequence[RearrangeEpisode], device: torch.device | str) -> None:
+        """
+        Raises:
+            InputError: as `RearrangeBank.of`.
+        """
+        self._bank = RearrangeBank.of([replace(episode, spec=ORACLE_RULES) for episode in episodes])
+        self.device = torch.device(device)
+
+    @property
+    def size(self) -> int:
+        """Number of episodes to choose from."""
+        return len(self._bank)
+
+    def warm_up(self, jobs: Sequence[Job]) -> None:
+        """Nothing is compiled."""
+
+    def play(self, jobs: Sequence[Job]) -> list[Played]:
+        """Plays some episodes, in their order, all at once."""
+        with torch.no_grad():
+            return _played(self._bank, jobs, self.device)
+
+    def close(self) -> None:
+        """Nothing needs closing."""
+
+
+def _played(bank: RearrangeBank, jobs: Sequence[Job], device: torch.device) -> list[Played]:
+    learned = jobs[0].partner in jobs[0].networks
+    sim = RearrangeTensors(
+        bank, device=device, planners=() if learned else ("human",), interrupts="always", repeats=False
+    )  # fmt: skip
+    entries = torch.tensor([job.entry for job in jobs], device=device)
+    play = sim.start(sim.before_the_first(entries - 1))
+    dice = torch.Generator(device).manual_seed(episode_seed(jobs[0].seed, jobs[0].number) % 2**63)
+    choosers = [_Chooser(sim, [ROBOT] * len(jobs), jobs, ROBOT, dice)]
+    if learned:
+        choosers.append(_Chooser(sim, [job.partner for job in jobs], jobs, "human", dice))
+    else:
+        play = play._replace(human_does=play.human_does._replace(order=_orders(jobs, bank.objects, device)))
+    nothing = torch.full((len(jobs),), FREE, dtype=torch.int64, device=device)
+    rewards = []
+    for step in range(bank.spec.max_steps):
+        chosen = [chooser.choose(play) for chooser in choosers]
+        play = sim.step(play, chosen[0], chosen[1] if learned else nothing)
+        rewards.append(play.reward)
+        if step % LOOKS_EVERY == 0 and bool(play.ended.all()):
+            break
+    return _results(sim, play, jobs, choosers, torch.stack(rewards, 1).double().cpu().numpy())
+
+
+def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
+    """Plans of the partners, [W, K], as in `h3data_training.populations.playing.play_episode`."""
+    plans = [planner(job.partner, episode_seed(job.seed, job.number), objects).objects for job in jobs]
+    return torch.as_tensor(orders(plans, objects), device=device)
+
+
+def _results(
+    sim: RearrangeTensors, play: Play, jobs: Sequence[Job], choosers: Sequence[_Chooser], rewards: np.ndarray
+) -> list[Played]:
+    at_goal = sim.at_goal(View.of(sim, play, ROBOT).hands, sim.tables.at(play.episode))
+    placed = (at_goal & (play.placed_by == 0)).sum(1)
+    columns = (play.steps, play.success, play.collides, at_goal.sum(1), placed)
+    facts = [column.tolist() for column in columns]
+    made = [chooser.decisions(rewards, facts[0], jobs[0].gamma) for chooser in choosers]
+    return [
+        Played(
+            partner=job.partner,
+            decisions={chooser.names[w]: made[c][w] for c, chooser in enumerate(choosers)},
+            steps=steps,
+            ended="success" if success else "collision" if collides else "max_steps",
+            reward=float(rewards[w].sum()),
+            placed=by_robot,
+            at_goal=there,
+        )
+        for w, (job, steps, success, collides, there, by_robot) in enumerate(zip(jobs, *facts, strict=True))
+    ]
+
+
+class _Row(NamedTuple):
+    """What the choosers of one agent saw and did in a step, [W, ...] each."""
+
+    each: Tensor
+    rest: Tensor
+    state: Tensor
+    allowed: Tensor
+    chosen: Tensor
+    log_prob: Tensor
+    asked: Tensor
+
+
+class _Chooser:
+    """The choosers of one agent of all worlds, one network for each name."""
+
+    def __init__(
+        self, sim: RearrangeTensors, names: Sequence[str], jobs: Sequence[Job], agent: str, dice: torch.Generator
+    ) -> None:
+        self.names, self._sim, self._agent, self._dice = list(names), sim, agent, dice
+        device = sim.device
+        self._parts: list[tuple[Tensor, Arrays]] = []
+        for name in dict.fromkeys(names):
+            rows = [w for w, own in enumerate(names) if own == name]
+            network = jobs[rows[0]].networks[name]
+            self._parts.append((torch.tensor(rows, device=device), arrays_of(network, device)))
+        self._hold = jobs[0].networks[self.names[0]].card.hold
+        hidden = self._parts[0][1]["gru.weight_hh"].shape[1]
+        self._state = torch.zeros(len(names), hidden, device=device)
+        self._thought = torch.zeros(len(names), dtype=torch.int64, device=device)
+        self._rows: list[_Row] = []
+
+    def choose(self, play: Play) -> Tensor:
+        """Choices [W]; -1 of those that are not asked."""
+        view = View.of(self._sim, play, self._agent)
+        asked, view = self._asked(view)
+        each, rest = encode(observed(view, OBSERVATIONS), self._agent, self._sim.bank.objects)
+        scores, state = torch.zeros(*view.xz.shape[:1], len(view.choices), device=each.device), self._state
+        for rows, arrays in self._parts:
+            own, after = scored(arrays, each[rows], rest[rows], self._state[rows])
+            scores, state = scores.index_copy(0, rows, own), state.index_copy(0, rows, after)
+        may = allowed(view)
+        log_probs = scores.masked_fill(~may, -torch.inf).log_softmax(-1)
+        noise = torch.rand(scores.shape, generator=self._dice, device=scores.device).clamp_min(1e-12)
+        chosen = (log_probs - (-noise.log()).log()).argmax(-1)
+        log_prob = log_probs.gather(1, chosen[:, None])[:, 0]
+        self._rows.append(_Row(each, rest, self._state, may, chosen, log_prob, asked))
+        self._state = torch.where(asked[:, None], state, self._state)
+        self._thought = torch.where(asked, play.steps, self._thought)
+        return torch.where(asked, chosen, FREE)
+
+    def _asked(self, view: View) -> tuple[Tensor, View]:
+        """Who chooses now (`RecurrentChooser.interrupts`), and the view of those who are interrupted."""
+        play, does = view.play, view.does
+        running = does.skill.clamp_min(0)
+        kind, holder = view.choices.kind[running], of_object(play.held_by, view.choices.target[running])
+        busy, since = does.skill != FREE, play.steps - self._thought
+        walks = busy & ((kind == NAV_OBJECT) | (kind == NAV_GOAL))
+        taken = (kind == NAV_OBJECT) & (holder != NOBODY) & (holder != view.who)
+        stops = walks & (taken | (view.close & (since >= CLOSE_STEPS)) | (since >= self._hold))
+        does = does._replace(
+            last=torch.where(stops, does.skill, does.last), outcome=torch.where(stops, ABORTED, does.outcome)
+        )
+        return ~play.ended & (~busy | stops), view._replace(does=does)
+
+    def decisions(self, rewards: np.ndarray, steps: Sequence[int], gamma: float) -> list[Decisions]:
+        """Those of each world; ``rewards`` are [W, T], of which each world has played some ``steps``."""
+        columns = {
+            name: torch.stack(column, 1).cpu().numpy()
+            for name, column in zip(_Row._fields, zip(*self._rows, strict=True), strict=True)
+        }
+        asked = columns.pop("asked")
+        found = []
+        for w, count in enumerate(steps):
+            rows = np.flatnonzero(asked[w])
+            gains, spans = discounted(rewards[w, :count], rows.tolist(), gamma)
+            found.append(
+                Decisions(
+                    **{name: column[w, rows] for name, column in columns.items()},
+                    gain=gains.astype(np.float32),
+                    discount=np.append(gamma ** spans[:-1], 0.0).astype(np.float32),
+                )
+            )
+        return found
+
+
+# --- the network as tensors -----------------------------------------------------------------------------------------------
+def arrays_of(network: ChooserNetwork, device: torch.device) -> Arrays:
+    """The weights of a chooser on a device."""
+    return {name: torch.as_tensor(np.array(array, order="C"), device=device) for name, array in network.arrays.items()}
+
+
+def encode(shown: Mapping[str, Tensor], agent: str, objects: int) -> tuple[Tensor, Tensor]:
+    """Inputs of each object [W, K, F] and the rest [W, R] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
+    each, rest, own = [], [], SKILLS_WITH_OBJECT * objects
+    for name in OBSERVATIONS:
+        encoding, seen = ENCODINGS.get(name), shown[name]
+        if encoding is None:
+            each.append(seen[:, :own].reshape(-1, SKILLS_WITH_OBJECT, objects).transpose(1, 2))
+            rest.append(seen[:, own:])
+        elif encoding.is_of_objects:
+            each.append(_inputs(name, seen.reshape(-1, objects, encoding.given)))
+        else:
+            rest.append(_inputs(name, seen))
+    assert rest[-1].shape[1] == rest_count(agent)
+    return torch.cat(each, -1), torch.cat(rest, -1)
+
+
+def _inputs(name: str, seen: Tensor) -> Tensor:
+    if name.endswith("gps_compass"):
+        d, a = seen.unbind(-1)
+        return torch.stack([d / 5, torch.exp(-d), a.cos(), a.sin()], -1)
+    if "way_to" in name:
+        return torch.cat([seen.clamp_max(30.0) / 10, torch.exp(-seen / 2)], -1)
+    return seen / 50 if name == "elapsed_s" else seen
+
+
+def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    """Scores [W, C] and the next state [W, H], as `ChooserNetwork.__call__`."""
+
+    def layer(name: str, x: Tensor, kind: str = "") -> Tensor:
+        return torch.nn.functional.linear(x, arrays[f"{name}.weight{kind}"], arrays[f"{name}.bias{kind}"])
+
+    count = each.shape[1]
+    numbers = torch.eye(count, device=each.device).expand(len(each), -1, -1)
+    things = layer("object", torch.cat([each, numbers], -1)).relu()
+    given, kept = layer("gru", torch.cat([rest, things.flatten(1)], -1), "_ih"), layer("gru", state, "_hh")
+    (r, z, n), (kr, kz, kn) = given.chunk(3, -1), kept.chunk(3, -1)
+    update = torch.sigmoid(z + kz)
+    state = (1 - update) * torch.tanh(n + torch.sigmoid(r + kr) * kn) + update * state
+    known = torch.cat([state[:, None].expand(-1, count, -1), things], -1)
+    of_objects = layer("each_1", layer("each_0", known).relu())
+    others = layer("rest_1", layer("rest_0", torch.cat([state, rest], -1)).relu())
+    last = each[..., -SKILLS_WITH_OBJECT:].transpose(1, 2).flatten(1)
+    interrupted = torch.cat([last, rest[:, -others.shape[1] :]], -1)
+    return torch.cat([of_objects.transpose(1, 2).flatten(1), others], -1) + arrays["persist"] * interrupted, state
+
+
+def allowed(view: View) -> Tensor:
+    """Which choices make sense to try, bool [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
+    numbers = every_choice(view.choices, len(view.xz))
+    kind, k, objects = view.choices.kind[numbers], view.choices.target[numbers], view.sim.bank.objects
+    held = view.play.held_by
+    lies = ((held == NOBODY) & ~view.sim.at_goal(view.hands, view.places)).gather(1, k)
+    empty, mine = ~(held == view.who).any(1, keepdim=True), (held == view.who).gather(1, k)
+    fetches = (kind == NAV_OBJECT) | (kind == PICK)
+    handles = (kind == PICK) | (kind == PLACE)
+    came = torch.where(handles, numbers - 2 * objects, numbers)
+    last, outcome = view.does.last[:, None], view.does.outcome[:, None]
+    arrived, going_on = (outcome == DONE) & (last == came), (outcome == ABORTED) & (last == numbers)
+    may = torch.where(fetches, empty & lies, mine)
+    return (kind > PLACE) | (may & ((arrived == handles) | going_on))

@@ -1,0 +1,293 @@
+"""Robots and people with the skills of `sim_kinematic.motion.spec.OracleSpec`. `sim_kinematic.torch.rearrange` is the same as
+tensors, line by line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.reach import reacher
+from h3data.geometry import IDENTITY_POSE, Array, pose_inverse, pose_multiply, wrap_angle
+from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
+from sim_kinematic.agents.oracle.ways import NONE, Ways
+from sim_kinematic.agents.person import CARRY, Held
+from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.robots.driving import ARRIVED_M, FACING_RAD, NEARLY_M, STUCK_STEPS
+from sim_kinematic.agents.robots.hand_reach import reach_bearing
+from sim_kinematic.agents.robots.skills import RobotActor
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Skill
+from sim_kinematic.motion.gait import move_people
+from sim_kinematic.motion.spec import STEP_S, OracleSpec
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.motion.step import discs_at
+
+VIA_M = 0.125
+"""A robot goes on to the next corner of its path from this distance."""
+STALLED_STEPS = 10
+"""A robot that has not got on for this long is content with a place from `NEARLY_M`."""
+AIMED_RAD = 1e-3
+"""A person faces a point within this angle."""
+
+
+class Errand(NamedTuple):
+    """Where a skill with an object leads."""
+
+    ways: Ways
+    """To the places from which the agent reaches it."""
+    point: Array
+    """[3] [m]."""
+
+
+@dataclass(eq=False)
+class Errands:
+    """Of one agent: the paths to where it takes each object and puts it down."""
+
+    oracle: OracleSpec
+    to_start: Sequence[Ways]
+    """To each object where it lies at the beginning, and ``to_goal`` to its goal."""
+    to_goal: Sequence[Ways]
+    starts: Array
+    """[K, 3] [m]."""
+    goals: Array
+
+    def of(self, action: Action, poses: Array) -> Errand:
+        """That of a skill with an object, given their poses [K, 7]."""
+        k = action.target
+        moved = action.skill in ("nav_to_goal", "place") or bool((poses[k, :3] == self.goals[k]).all())
+        return Errand((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
+
+    def reaches(self, errand: Errand, xz: Array, error_rad: float) -> bool:
+        """Whether an agent at a floor point [2] is at one of the places, and faces the point but for an angle."""
+        gap = errand.ways.ends - xz
+        there = (gap[:, 0] ** 2 + gap[:, 1] ** 2 <= self.oracle.reach_m**2).any()
+        return bool(there) and abs(error_rad) <= self.oracle.reach_rad
+
+
+def carry_point(body: Robot | Humanoid) -> Array:
+    """Where what an agent holds is in its root frame [3] [m]: in the hand of the folded arm, or before the chest."""
+    if isinstance(body, Robot):
+        frame = body.link_matrices(IDENTITY_POSE[None], body.rest[None])[0, body.hand_link]
+        return frame[:3, 3] + frame[:3, :3] @ body.hand_position
+    return np.array(CARRY) * reacher(body, "right").body.scale
+
+
+def _way(errand: Errand, number: int, xz: Array, within_m: float) -> tuple[int, float]:
+    """The point to go to now, and how far it is: the next one where a corner has been reached."""
+    ways = errand.ways
+    away = float(np.hypot(*(ways.points[number] - xz)))
+    if number < ways.corners and away <= within_m:
+        number = int(ways.after[number])
+        away = float(np.hypot(*(ways.points[number] - xz)))
+    return number, away
+
+
+@dataclass(eq=False)
+class OracleRobot(RobotActor):
+    """A robot with oracle skills."""
+
+    errands: Errands = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.avoids = False
+
+    def infeasible(self, action: Action) -> str:
+        return _refusal(self, action)
+
+    def start(self, action: Action) -> Skill:
+        if action.skill in PRIMITIVES:
+            return self._move(*PRIMITIVES[action.skill])
+        if action.skill == CONTROL:
+            return self._control(action.command)
+        if action.skill == "wait":
+            return self._move(0.0, 0.0, max(action.steps, 1))
+        errand = self.errands.of(action, self.objects.poses)
+        if action.skill.startswith("nav"):
+            return self._go(errand)
+        return _handling(self, action, errand, partial(self._step, 0.0, 0.0), self.errands.oracle.robot_steps)
+
+    def facing_error(self, errand: Errand) -> float:
+        """By how much it must turn to have what it came for in its reach direction [rad]."""
+        return self._error_to(errand.point[[0, 2]], reach_bearing(self.robot))
+
+    def _go(self, errand: Errand) -> Skill:
+        """Drives along a path, and at its end turns until the hand points at what it came for."""
+        ways, (number, best, since) = errand.ways, (errand.ways.start(self.xz), np.inf, 0)
+
+        def is_there(away: float) -> bool:
+            content = since > STALLED_STEPS or best < 0.0  # it has begun to turn
+            return number >= ways.corners and (away <= ARRIVED_M or (away <= NEARLY_M and content))
+
+        while since <= STUCK_STEPS:
+            before = number
+            number, away = _way(errand, number, self.xz, VIA_M)
+            best = best if number == before else np.inf
+            if is_there(away):
+                error = self.facing_error(errand)
+                left = 0.1 * abs(error) - 1.0
+                self._step(0.0, self._turn(error))
+            else:
+                left = away
+                self._drive(ways.points[number], away if number >= ways.corners else np.inf)
+            best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
+            yield
+            if (
+                is_there(float(np.hypot(*(ways.points[number] - self.xz))))
+                and abs(self.facing_error(errand)) < FACING_RAD
+            ):
+                return Ending("done")
+        return Ending("failed", "stuck")
+
+    def take(self, k: int) -> None:
+        """The object is in the hand, and keeps its direction."""
+        hand, pose = self.hand_pose, self.objects.poses[k]
+        turn = pose_multiply(pose_inverse(hand), np.append(hand[:3], pose[3:]))
+        self.objects.state.grip_pose[0, k] = turn
+        self.objects.poses[k] = pose_multiply(hand, turn)
+
+    def release(self) -> None:
+        """The hand is empty."""
+
+
+@dataclass(eq=False)
+class OraclePerson(PersonActor):
+    """A person with oracle skills; what they hold is before their chest."""
+
+    errands: Errands = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._carry = np.append(carry_point(self.person.body), (0.0, 0.0, 0.0, 1.0))
+
+    def infeasible(self, action: Action) -> str:
+        if action.skill in (*PRIMITIVES, CONTROL):
+            return "not_of_a_person"
+        return _refusal(self, action)
+
+    def start(self, action: Action) -> Skill:
+        if action.skill == "wait":
+            return self._wait(max(action.steps, 1))
+        errand = self.errands.of(action, self.objects.poses)
+        if action.skill.startswith("nav"):
+            return self._go(errand)
+        return _handling(self, action, errand, self._stand, self.errands.oracle.person_steps)
+
+    def facing_error(self, errand: Errand) -> float:
+        """By how much they must turn to face what they came for [rad]."""
+        dx, dz = errand.point[[0, 2]] - self.xz
+        return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
+
+    def _go(self, errand: Errand) -> Skill:
+        """Walks straight from corner to corner, turning on the spot at each, and at the end turns to what they came for."""
+        ways, number, within = errand.ways, errand.ways.start(self.xz), self.spec.arrive_m
+        while True:
+            number, away = _way(errand, number, self.xz, within)
+            if number >= ways.corners and away <= within:
+                self._turn_by(self.facing_error(errand))
+            else:
+                self._pace(ways.points[number])
+            yield
+            arrived = number >= ways.corners and np.hypot(*(ways.points[number] - self.xz)) <= within
+            if arrived and abs(self.facing_error(errand)) < AIMED_RAD:
+                return Ending("done")
+
+    def _turn_by(self, error_rad: float) -> None:
+        gait, most = self._gait_here(), self.spec.turn_rad_s * STEP_S
+        move_people(gait, gait.xz.copy(), gait.heading + min(max(error_rad, -most), most), self.spec)
+        self.person.stride(gait)
+        self._follow()
+
+    def take(self, k: int) -> None:
+        """The object is before their chest, turned as it was, and their right arm as if it held it."""
+        name, pose = self.objects.names[k], self.objects.poses[k]
+        stood = pose_multiply(pose_inverse(self.person.base), pose)[3:]
+        self._carry[3:] = stood
+        self.person.objects[name] = pose.copy()
+        self.person.held = {"right": Held(name, np.array([0, 0, 0, 0, 0, 0, 1.0]), stood)}
+        self._follow()
+
+    def release(self) -> None:
+        """Their hand is empty."""
+        self.person.held = {}
+
+    def _follow(self) -> None:
+        k = self.objects.held(self.number)
+        if k >= 0:
+            self.objects.poses[k] = pose_multiply(self.person.base, self._carry)
+
+
+def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
+    """Why a skill cannot start now; empty: it can."""
+    why = actor.objects.why_not(actor.number, action)
+    if why or action.target < 0:
+        return why
+    errand = actor.errands.of(action, actor.objects.poses)
+    if action.skill in ("nav_to_object", "nav_to_goal"):
+        return "no_way" if errand.ways.start(actor.xz) == NONE else ""
+    return "" if actor.errands.reaches(errand, actor.xz, actor.facing_error(errand)) else "out_of_reach"
+
+
+def _handling(
+    actor: OracleRobot | OraclePerson,
+    action: Action,
+    errand: Errand,
+    stands: Callable[[], None],
+    steps: tuple[int, int],
+) -> Skill:
+    """Stands for a pick or a place, in the course of which the object changes hands."""
+    changes, ends = steps
+    for step in range(1, ends + 1):
+        stands()
+        why = _hand_over(actor, action, errand) if step == changes else ""
+        yield
+        if why:
+            return Ending("failed", why)
+    return Ending("done")
+
+
+def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: Errand) -> str:
+    """Takes an object or puts it down; returns why that fails."""
+    objects, k = actor.objects, action.target
+    if action.skill == "place":
+        objects.held_by[k] = NOBODY
+        objects.poses[k, :3] = errand.point
+        actor.release()
+        return ""
+    if objects.held_by[k] != NOBODY:
+        return "held_by_other"
+    if (objects.poses[k, :3] != errand.point).any():
+        return "missed"
+    objects.held_by[k] = actor.number
+    actor.take(k)
+    return ""
+
+
+class DiscContacts(AgentContactTracker):
+    """Agents that heed nobody, and touch where their discs do."""
+
+    def __init__(self, roster: Sequence, actors: Sequence[AnyActor], radius_m: float) -> None:
+        super().__init__(roster, actors)
+        self._radius_m = radius_m
+
+    def avoids(self, me: AnyActor, other: AnyActor) -> bool:
+        del me, other
+        return False
+
+    def _touch(self, a: int, b: int) -> bool:
+        one, other = (self._discs(self.actors[k]) for k in (a, b))
+        gap = one[:, None, :2] - other[None, :, :2]
+        return bool((np.hypot(gap[..., 0], gap[..., 1]) < one[:, None, 2] + other[None, :, 2]).any())
+
+    def _discs(self, actor: AnyActor) -> NDArray[np.float64]:
+        """Discs ``(x, z, radius)`` of an agent [N, 3]."""
+        offsets: tuple[float, ...] = (0.0,)
+        radius = self._radius_m
+        if isinstance(actor, RobotActor):
+            offsets, radius = actor.base.disc_offsets_m, actor.base.disc_radius_m
+        return discs_at(actor.xz[None], np.array([actor.heading]), offsets, radius)[0]

@@ -1,0 +1,102 @@
+"""Where agents with oracle skills stand to take and to put down the objects of an episode, and their paths to there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
+from h3data.geometry import Array
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.oracle.actors import Errands
+from sim_kinematic.agents.oracle.ways import Ways, ways_to
+from sim_kinematic.agents.person_clearance import reach_room
+from sim_kinematic.agents.person_skills import HANDS
+from sim_kinematic.agents.robots.arm_clearance import arm_clearance
+from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands, robot_stands
+from sim_kinematic.motion.spec import OracleSpec
+from sim_kinematic.tasks.episode import agent_base, agent_floor
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+
+_ERRANDS = "_errands"
+
+Stands = tuple[Array, Callable[[Array], bool]]
+"""Stands ``(x, z, heading)`` [N, 3] and whether the body has room at one of them."""
+
+
+def errands_of(episode: RearrangeEpisode, number: int) -> Errands:
+    """The errands of an agent in an episode. Computed once and kept with the episode, as long as that is in memory.
+
+    Raises:
+        InputError: something in the home opens.
+    """
+    known = vars(episode).setdefault(_ERRANDS, {})
+    if number not in known:
+        if episode.scene.articulations:
+            raise InputError(
+                f"Oracle skills open nothing, and {episode.scene.name} has doors or drawers. Hint: other --scenes, or "
+                "rules without oracle."
+            )
+        known[number] = _errands(episode, number)
+    return known[number]
+
+
+def _errands(episode: RearrangeEpisode, number: int) -> Errands:
+    starts = np.array([target.start[:3] for target in episode.targets], np.float64)
+    goals = np.array([target.goal for target in episode.targets], np.float64)
+    floor = agent_floor(episode, number)
+    ways = [ways_to(floor, places) for places in stand_places(episode, number, [*starts, *goals])]
+    return Errands(
+        oracle=episode.spec.oracle or OracleSpec(), to_start=ways[: len(starts)], to_goal=ways[len(starts) :],
+        starts=starts, goals=goals,
+    )  # fmt: skip
+
+
+def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) -> list[Array]:
+    """Floor points [S, 2] from which an agent reaches each of some world points [3]: of those with room for its reach the
+    nearest to its start, and the nearest to where it stands for each of the other points."""
+    floor, start = agent_floor(episode, number), episode.starts[number, :2]
+    stands = [list(_stands(episode, number, floor, point)) for point in points]
+    near = [_nearest(floor, one, start) for one in stands]
+    found = []
+    for one, own in zip(stands, near, strict=True):
+        places = [own, *(_nearest(floor, one, other) for other in near if other is not None)]
+        kept = [place for place in places if place is not None]
+        found.append(np.unique(np.array(kept), axis=0) if kept else np.zeros((0, 2)))
+    return found
+
+
+def _stands(episode: RearrangeEpisode, number: int, floor: FreeSpace, point: Array) -> Iterator[Stands]:
+    """Stands to be tried one after the other."""
+    body, scene, floor_y = episode.roster[number].body, episode.scene, episode.free.floor_y
+    island = island_of(floor, episode.starts[number, :2])
+    if isinstance(body, Robot):
+        clearance = arm_clearance(scene, body, floor_y)
+        stands = robot_stands(floor, body, agent_base(episode, number), point, island=island)
+        for test in (clearance.is_clear, clearance.is_open):
+            yield stands, partial(test, point=point)
+        return
+    assert isinstance(body, Humanoid)
+    room = reach_room(scene, body, floor_y)
+    for hand in HANDS:
+        yield (
+            person_stands(floor, body, point, hand, island=island),
+            partial(room.is_clear, point=point, hand=hand),
+        )
+
+
+def _nearest(floor: FreeSpace, tried: list[Stands], start: Array) -> Array | None:
+    for stands, has_room in tried:
+        k, _ = nearest_stand(floor, stands, start, is_clear=has_room)
+        if k >= 0:
+            return stands[k, :2].copy()
+    return None
+
+
+def floor_ways(episode: RearrangeEpisode) -> list[Ways]:
+    """The shortest paths to the floor nearest to where each object lies at the beginning, then to each goal."""
+    points = [target.start[:3] for target in episode.targets] + [target.goal for target in episode.targets]
+    return [ways_to(episode.free, episode.free.snap(point[[0, 2]])) for point in points]
