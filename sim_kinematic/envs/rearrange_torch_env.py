@@ -211,7 +211,7 @@ class RearrangeTorchEnv:
     def _result(self) -> Any:
         """In tensors of their own: a graph writes into the same ones again."""
         shown = {agent: {name: t.clone() for name, t in seen.items()} for agent, seen in self._shown.items()}
-        return shown if len(self.agents) > 1 else shown[self.agents[0]]
+        return shown if len(shown) > 1 else next(iter(shown.values()))
 
     # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
     @cached_property
