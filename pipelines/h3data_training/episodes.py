@@ -19,7 +19,8 @@ from sim_kinematic.motion.spec import WALKERS, SocialNavSpec
 from sim_kinematic.torch.episodes import EpisodeBank
 
 MOST_WORKERS = 32
-Task, Bank = TypeVar("Task"), TypeVar("Bank")
+Task = TypeVar("Task")
+Bank = TypeVar("Bank")
 
 
 def rules(settings: Settings) -> SocialNavSpec:

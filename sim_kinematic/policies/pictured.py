@@ -287,7 +287,8 @@ def affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
 def lengths(name: str, actions: int) -> tuple[int, int]:
     """Numbers of an observation, and of its encoding, where an action has so many numbers."""
     if name == "arm_joints":
-        return (max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0),) * 2
+        joints = max(actions - BASE_ACTIONS - GRIP_ACTIONS, 0)
+        return joints, joints
     return ENCODINGS[name][1:]
 
 

@@ -174,10 +174,8 @@ def test_the_specification_makes_the_environment_again() -> None:
 def test_wrong_options_of_make_say_what_was_meant() -> None:
     with pytest.raises(InputError, match=re.escape("Unknown option 'nenvs' of social_nav. Did you mean 'num_envs'?")):
         h3data.make("social_nav", "small:1", nenvs=3)
-    with pytest.raises(
-        InputError, match=re.escape("Only social_nav runs on a torch device, not rearrange. Hint: leave out device")
-    ):
-        h3data.make("rearrange", "small:1", device="cpu")
+    with pytest.raises(InputError, match=re.escape("run on a torch device, not wander. Hint: leave out device")):
+        h3data.make("wander", "small:1", device="cpu")
 
 
 def _leaves(value: Any) -> list[Any]:

@@ -512,7 +512,7 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
         (["rearrange", "--population", "plan_pop"], "Did you mean"),
         (["rearrange", "--workers", "0"], "at least 1 worker"),
         (["social_nav", "--population", "learn_pop"], "--population"),
-        (["wander"], "social_nav or rearrange"),
+        (["wander"], "social_nav, rearrange or skill"),
     ):
         assert main(["train", *options, *out]) == 2
         assert message in capsys.readouterr().err

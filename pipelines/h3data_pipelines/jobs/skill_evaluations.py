@@ -115,7 +115,7 @@ def judge_episode(job: SkillJob) -> dict[str, Any]:
     return {"job": job.to_json(), "rows": rows, "failed": ""}
 
 
-def lost_episode(job: SkillJob, fault: BaseException) -> dict[str, Any]:
+def lost_episode(job: SkillJob, fault: Exception) -> dict[str, Any]:
     """The result of an episode that could not be played."""
     return {"job": job.to_json(), "rows": [], "failed": reason_of(fault)}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from h3data.bodies import Robot
 from h3data.errors import SceneError
 from h3data.habitat.scene_names import named_scenes
 from h3data_training.episodes import by_home
@@ -47,6 +48,7 @@ def _home_bank(task: tuple[SkillSettings, str, int]) -> SkillBank | None:
         except SceneError:
             continue  # a home may have room for fewer episodes
         body = roster[0].body
+        assert isinstance(body, Robot)
         floor = floor_of(body, base_of(body, rules.robot), home.scene, home.free)
         rng = np.random.default_rng(episode_seed(seed, k))
         starts = draw_starts(episode, settings.skill, settings.starts, rng, path_m=settings.path_m, any_spot=True)

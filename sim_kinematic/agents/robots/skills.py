@@ -134,7 +134,7 @@ class RobotActor(RobotDriver):
         yield
         return Ending("done")
 
-    def follow(self, command: Array, towards: NDArray) -> None:
+    def obey(self, command: Array, towards: NDArray) -> None:
         """Moves one step by the command of a learned skill, base [2] alone or with arm joints [n] and grip [1], in -1..1. The
         base gives way as in every skill; ``towards`` [2] is where it wants to get."""
         rules = ArmSpec(grasp_m=self.grip_m)

@@ -83,7 +83,7 @@ class LearnedSkill:
                 out, state = network(observe(view, network.observations), command, state)
                 command = np.clip(np.nan_to_num(out, nan=0.0), -1, 1)
             before = actor.xz.copy(), actor.heading
-            actor.follow(command, point[[0, 2]])
+            actor.obey(command, point[[0, 2]])
             step += 1
             yield
             ending = self._ending(actor, action, point, stand_xz, before, held)

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
@@ -80,6 +81,7 @@ def draw_starts(
         rules: Of the skills.
     """
     body = episode.roster[robot].body
+    assert isinstance(body, Robot)
     base = base_of(body, episode.spec.robot)
     floor = floor_of(body, base, episode.scene, episode.free)
     fits = robot_fits(body, episode.spec.robot, episode.scene, episode.free)

@@ -68,7 +68,7 @@ def test_nobody_is_faster_sharper_or_nearer_to_walls_than_allowed(seed: int, hom
 def test_hardly_anybody_turns_on_the_spot(seed: int) -> None:
     _, track = walked("small:1", seed, 1500)
     rests = np.hypot(*np.diff(track[:, :2], axis=0).T) < 1e-3
-    assert (rests & (np.abs(np.diff(track[:, 2])) > 1e-3)).mean() < 0.05
+    assert (rests & (np.abs(np.diff(track[:, 2])) > 1e-3)).mean() < 0.08
 
 
 @settings(max_examples=5)

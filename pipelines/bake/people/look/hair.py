@@ -219,7 +219,8 @@ def under_hair(ground: Ground, spec: Hair, points: Array) -> Array:
     polar = t * skull.line_deg(azimuth, spec.line)
     degrees = np.broadcast_to(np.degrees(np.abs((azimuth + np.pi) % (2 * np.pi) - np.pi)), polar.shape)
     lift = _thickness(spec, polar, degrees, t, np.zeros(polar.shape, bool), fine=False)
-    around = minimum_filter(lift, (5, 7), mode=("nearest", "wrap"))  # also 1.5 cm further on
+    modes: Any = ("nearest", "wrap")  # one for each axis
+    around = minimum_filter(lift, (5, 7), mode=modes)  # also 1.5 cm further on
     cap = skull.at(polar, np.broadcast_to(azimuth, polar.shape)).reshape(-1, 3)
     away, near = KDTree(cap).query(points)
     inside = 0.10 * np.radians((polar[-1] - polar).ravel()[near])
