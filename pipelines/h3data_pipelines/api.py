@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from h3data_pipelines.jobs.evaluation_runs import EvaluationResult
     from h3data_pipelines.jobs.generated import Generated
     from h3data_pipelines.jobs.imports import ImportResult
+    from h3data_pipelines.jobs.skill_evaluations import SkillEvaluationResult
     from h3data_pipelines.pictures.rerender import Rendered
     from h3data_viewers.html_report.report import Report
 
@@ -99,11 +100,12 @@ def evaluate(
     keep: bool = False,
     resume: bool = False,
     force: bool = False,
-) -> EvaluationResult:
+) -> EvaluationResult | SkillEvaluationResult:
     """Plays policies in the same episodes and measures them; options as of ``h3data evaluate``.
 
     Returns:
-        The table of policies (and partners) with 95% intervals, and the episodes that failed.
+        The table of policies (and partners) with 95% intervals, and the episodes that failed; of the task ``skill`` that of
+        the skills.
 
     Raises:
         InputError: an option is wrong, or the folder holds results with other options.

@@ -46,7 +46,7 @@ class Worlds(Protocol):
         ...
 
     def taught(self) -> Tensor:
-        """What a teacher would do now, [W, A]."""
+        """Actions of a teacher in these states, [W, A]."""
         ...
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:

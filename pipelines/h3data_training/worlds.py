@@ -15,6 +15,7 @@ from h3data.errors import InputError
 from h3data.render import Output
 from h3data.scene import Scene
 from h3data_training.episodes import rules
+from h3data_training.held import HeldSteps
 from h3data_training.settings import CRITIC, Settings
 from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
 from sim_kinematic.motion.spec import WalkerSpec
@@ -63,11 +64,10 @@ class CpuCameras:
         return {name: torch.as_tensor(np.stack(pictures))[None] for name, pictures in taken.items()}
 
 
-class HeldWorlds(SocialNavTorchEnv):
-    """`SocialNavTorchEnv` in which an action moves all worlds ``hold`` steps.
+class HeldWorlds(HeldSteps, SocialNavTorchEnv):
+    """`SocialNavTorchEnv` in which an action moves all worlds ``hold`` steps."""
 
-    A world whose episode ends on the way begins the next one at once; what it gains after that is not counted.
-    """
+    counts = COUNTS
 
     def __init__(
         self,
@@ -86,10 +86,7 @@ class HeldWorlds(SocialNavTorchEnv):
             count or settings.worlds, device=device, dtype=torch.float32, observations=shown, spec=rules(settings),
             episodes=bank, depth_size=settings.picture_size, robot=settings.robot, human=settings.human, compile=compile,
         )  # fmt: skip
-        worlds, where = self.num_envs, self.device
-        self.gain = torch.zeros(worlds, device=where)
-        self.over, self.timed_out, self.idle = (torch.zeros(worlds, dtype=torch.bool, device=where) for _ in range(3))
-        self.totals = torch.zeros(len(COUNTS), device=where)
+        self._make_totals(self.num_envs, self.device)
 
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> Any:
         if self.device.type == "cuda":
@@ -99,37 +96,25 @@ class HeldWorlds(SocialNavTorchEnv):
         return CpuCameras(self.bank.scenes, robot, human, self.sim.spec.human, floors=floors, size=size)
 
     def _eager(self) -> None:
-        play = self.play
-        idle, timed_out = play.ended.clone(), play.ended & play.truncated
-        live, inside = ~idle, torch.zeros_like(idle)
-        gain, sums, shown = torch.zeros_like(self.gain), torch.zeros_like(self.totals), {}
-        for k in range(self.hold):
-            followed = play.followed.clone()
-            shown = self._move()
-            if self.follow_steps:
-                enough = ~play.ended & (play.followed >= self.follow_steps)
-                play.truncated.logical_or_(enough)
-                play.ended.logical_or_(enough)
-            gain = gain + torch.where(live, play.reward.float(), 0.0)
-            ends = live & play.ended
-            sums = sums + torch.stack([
-                torch.where(live, play.reward, 0.0).sum(), (live & (play.followed > followed)).sum(),
-                (live & play.terminated).sum(), ends.sum(), live.sum(), (live & play.robot.contact).sum(),
-                (ends & (play.followed > 0)).sum(),
-            ]).float()  # fmt: skip
-            live = live & ~ends
-            if k < self.hold - 1:
-                inside, timed_out = inside | ends, timed_out | (ends & play.truncated)
+        self._hold_action()
         if self._cameras is not None:
-            shown |= self._pictures(self._cameras)
-        self._shown = {name: shown[name] for name in self._names}
-        self.gain.copy_(gain)
-        self.over.copy_(idle | inside)
-        self.timed_out.copy_(timed_out)
-        self.idle.copy_(idle)
-        self.totals.add_(sums)
+            self._shown |= self._pictures(self._cameras)
+        self._shown = {name: self._shown[name] for name in self._names}
 
-    counts = COUNTS
+    def _step_held(self, k: int) -> Tensor:
+        followed = self.play.followed.clone()
+        self._shown = self._move()
+        return followed
+
+    def _long_enough(self) -> Tensor | None:
+        return self.play.followed >= self.follow_steps if self.follow_steps else None
+
+    def _counted(self, before: Tensor, live: Tensor, ends: Tensor) -> list[Tensor]:
+        play = self.play
+        return [
+            (live & (play.followed > before)).sum(), (live & play.terminated).sum(), ends.sum(), live.sum(),
+            (live & play.robot.contact).sum(), (ends & (play.followed > 0)).sum(),
+        ]  # fmt: skip
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
         """As of `h3data_training.ppo.Worlds`."""
@@ -148,10 +133,4 @@ class HeldWorlds(SocialNavTorchEnv):
         with torch.no_grad():
             self._action.copy_(action)
             self._advance()
-        return (
-            self._result(self._shown),
-            self.gain.clone(),
-            self.over.clone(),
-            self.timed_out.clone(),
-            self.idle.clone(),
-        )
+        return self._result(), *self._outcome()

@@ -1,26 +1,20 @@
-"""Rearrangement for training on a device: W worlds whose choices, observations and rewards are torch tensors there.
-
-The interface is Gymnasium's of vector environments, which need not be installed. On a GPU a step is one CUDA graph.
-"""
+"""Rearrangement for training on a device: W worlds whose choices, observations and rewards are torch tensors there."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from h3data.errors import InputError, did_you_mean
 from h3data.scene import Scene
-from sim_kinematic.envs.social_nav_torch_env import checked_device, places_in_bank
+from sim_kinematic.envs.torch_env import Tensors, TorchEnv
 from sim_kinematic.policies.rearrange import PARTNERS
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, limits
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.torch.graph import can_fuse, captured, fused
 from sim_kinematic.torch.rearrange.observations import View, checked_observations, observed
 from sim_kinematic.torch.rearrange.state import FREE, Play
 from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
@@ -34,15 +28,14 @@ if TYPE_CHECKING:
 KINDS = ("robot", "human")
 EPISODES = 256
 """Of the bank, unless said otherwise: a minute or two to draw."""
-Tensors = dict[str, Tensor]
 
 
-class RearrangeTorchEnv:
+class RearrangeTorchEnv(TorchEnv[Play]):
     """W worlds of rearrangement on one device, with oracle skills (docs/gpu.md).
 
     A step is 1/30 s in all worlds. Whose choice counts in the next one says ``info["choosing"]``; -1 goes on. They play the
-    episodes of a bank, each world in order from a place of its own, which follows from its seed. Autoreset is Gymnasium's
-    NEXT_STEP. With two agents, actions, observations and what info has of each are by agent.
+    episodes of a bank, each world in order from a place of its own, which follows from its seed. With two agents, actions,
+    observations and what info has of each are by agent.
     """
 
     def __init__(
@@ -100,10 +93,9 @@ class RearrangeTorchEnv:
                 f"On a device partners are planners, not {partner!r}.{did_you_mean(str(partner), PARTNERS)} Expected one "
                 f"of: {', '.join(PARTNERS)}."
             )
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.")
+        super().__init__(num_envs, device, graph=graph, compile=compile)
         self._names = checked_observations((observations,) if isinstance(observations, str) else tuple(observations))
-        self.num_envs, self.device, self._partner = int(num_envs), checked_device(device), partner
+        self._partner = partner
         if not isinstance(episodes, RearrangeBank):
             rules = ORACLE_RULES if spec is None else spec
             episodes = RearrangeBank.draw(scenes, episodes, seed=episodes_seed, spec=rules, robot=robot, human=human)
@@ -117,31 +109,10 @@ class RearrangeTorchEnv:
         nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
         self._actions = {kind: torch.full_like(nothing, FREE) for kind in KINDS}
         self.play: Play = self.sim.before_the_first(nothing)
-        """Where all worlds are; these tensors are overwritten by every step."""
         self._shown: dict[str, Tensors] = {}
         self._told: Tensors = {}
-        self._begun = False
-        self._graph = self.device.type == "cuda" if graph is None else graph
-        compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
-        self._advance = self._eager
-        self._move = fused(self._moved) if compiles else self._moved
 
     # --- the interface ------------------------------------------------------------------------------------------------
-    def reset(self, *, seed: int | Sequence[int] | None = None, options: Any = None) -> tuple[Any, Tensors]:
-        """Begin the next episode in all worlds; with a seed, first go to the places in the bank that the runs seed,
-        seed + 1, ..., or those listed, begin at. There are no ``options``."""
-        if seed is None and not self._begun:
-            seed = int.from_bytes(os.urandom(7), "little")
-        with torch.no_grad():
-            if self._graph and self._advance == self._eager:
-                self._advance = captured(self._eager, list(self.play.tensors()))
-            if seed is not None:
-                self.play.episode.copy_(places_in_bank(seed, self.num_envs, len(self.bank)) - 1)
-            self.play.ended.fill_(True)
-            self._advance()
-        self._begun = True
-        return self._result(), self.info()
-
     def step(self, actions: Tensor | Mapping[str, Tensor]) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
         """Move all worlds by 1/30 s, or begin their next episode: observations, rewards [W], terminated [W], truncated [W],
         info.
@@ -152,8 +123,7 @@ class RearrangeTorchEnv:
         Raises:
             InputError: the actions have another shape or are not whole numbers, or no episode has begun.
         """
-        if not self._begun:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+        self._require_begun()
         given = actions if isinstance(actions, Mapping) else {self.agents[0]: actions}
         if set(given) != set(self.agents):
             raise InputError(f"Expected actions of {' and '.join(self.agents)}, got those of {' and '.join(given)}.")
@@ -165,18 +135,12 @@ class RearrangeTorchEnv:
                         f"Expected whole numbers of shape {[self.num_envs]}, got {numbers.dtype} {list(numbers.shape)}."
                     )
                 self._actions[agent].copy_(numbers, non_blocking=True)
-            self._advance()
-            play = self.play
-            ends = play.reward.to(torch.float32, copy=True), play.terminated.clone(), play.truncated.clone()
-        return self._result(), *ends, self.info()
+            return self._stepped()
 
     def info(self) -> Tensors:
         """What is known beyond the observations, [W, ...] each; ``episode`` is a number in the bank. With two agents what each
         has of its own begins with ``robot_`` or ``human_``."""
         return {name: tensor.clone() for name, tensor in self._told.items()}
-
-    def close(self) -> None:
-        """Nothing needs closing."""
 
     # --- parts --------------------------------------------------------------------------------------------------------
     def _eager(self) -> None:
@@ -184,21 +148,18 @@ class RearrangeTorchEnv:
         self._shown, self._told = self._move()
 
     def _moved(self) -> tuple[dict[str, Tensors], Tensors]:
-        after = self.sim.step(self.play, self._actions["robot"], self._actions["human"])
-        for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
-            tensor.copy_(value)
-        shown = {agent: observed(View.of(self.sim, self.play, agent), self._names) for agent in self.agents}
-        return shown, self._known()
+        self._keep(self.sim.step(self.play, self._actions["robot"], self._actions["human"]))
+        views = {agent: View.of(self.sim, self.play, agent) for agent in self.agents}
+        return {agent: observed(view, self._names) for agent, view in views.items()}, self._known(views)
 
-    def _known(self) -> Tensors:
+    def _known(self, views: Mapping[str, View]) -> Tensors:
         play = self.play
         known = {
             "episode": play.episode, "steps": play.steps, "success": play.success, "collision": play.collides,
             "held_by": play.held_by,
         }  # fmt: skip
-        for agent in self.agents:
-            view = View.of(self.sim, self.play, agent)
-            prefix = f"{agent}_" if len(self.agents) > 1 else ""
+        for agent, view in views.items():
+            prefix = f"{agent}_" if len(views) > 1 else ""
             free = view.does.skill == FREE
             known |= {
                 f"{prefix}choosing": free | view.close if self.sim.interrupts == "close" else free,
@@ -209,7 +170,6 @@ class RearrangeTorchEnv:
         return known
 
     def _result(self) -> Any:
-        """In tensors of their own: a graph writes into the same ones again."""
         shown = {agent: {name: t.clone() for name, t in seen.items()} for agent, seen in self._shown.items()}
         return shown if len(shown) > 1 else next(iter(shown.values()))
 
@@ -236,20 +196,6 @@ class RearrangeTorchEnv:
             known = limits(objects=self.bank.objects, arm=arms[agent])
             spaces[agent] = gymnasium.spaces.Dict({name: box(known[name]) for name in self._names})
         return gymnasium.spaces.Dict(spaces) if len(spaces) > 1 else spaces[self.agents[0]]
-
-    @cached_property
-    def action_space(self) -> Space[Any]:
-        """Of all worlds."""
-        from sim_kinematic.envs.stepper import gymnasium
-
-        return gymnasium.vector.utils.batch_space(self.single_action_space, self.num_envs)
-
-    @cached_property
-    def observation_space(self) -> Space[Any]:
-        """Of all worlds."""
-        from sim_kinematic.envs.stepper import gymnasium
-
-        return gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
 
     def __repr__(self) -> str:
         models = {"robot": self.bank.robot.name, "human": self.bank.human.name}

@@ -1,11 +1,7 @@
-"""Social navigation for training on a device: W worlds whose actions, observations and rewards are torch tensors there.
-
-The interface is Gymnasium's of vector environments, which need not be installed. On a GPU a step is one CUDA graph.
-"""
+"""Social navigation for training on a device: W worlds whose actions, observations and rewards are torch tensors there."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -17,15 +13,14 @@ from torch import Tensor
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.scene import Scene
+from sim_kinematic.envs.torch_env import Tensors, TorchEnv
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.sensing.sensor import DEPTH_RANGE_M, DETECTED_PIXELS, HUMAN_ID
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.torch.graph import can_fuse, captured, fused
-from sim_kinematic.torch.random import keys, random
 from sim_kinematic.torch.social_nav import Play, SocialNavTensors
 
 if TYPE_CHECKING:
-    from gymnasium.spaces import Box, Dict, Space
+    from gymnasium.spaces import Box, Dict
 
     from sim_kinematic.torch.cameras import TensorCameras
     from sim_kinematic.torch.episodes import EpisodeBank
@@ -47,14 +42,11 @@ STATE: tuple[TorchObservation, ...] = ("humanoid_gps", "egomotion")
 EPISODES = 512
 """Of the bank, unless said otherwise: some seconds to draw."""
 
-Tensors = dict[str, Tensor]
 
-
-class SocialNavTorchEnv:
+class SocialNavTorchEnv(TorchEnv[Play]):
     """W worlds of social navigation on one device (docs/gpu.md).
 
-    They play the episodes of a bank, each world in order from a place of its own, which follows from its seed. Autoreset is
-    Gymnasium's NEXT_STEP, as in `sim_kinematic.envs.social_nav_vector_env.SocialNavVectorEnv`.
+    They play the episodes of a bank, each world in order from a place of its own, which follows from its seed.
     """
 
     def __init__(
@@ -106,9 +98,7 @@ class SocialNavTorchEnv:
             raise InputError(f"On a device there are {', '.join(get_args(TorchObservation))}, got {observations!r}.")
         if reward != "paper":
             raise InputError(f"On a device the reward is the paper's, not {reward!r}. Hint: leave out device.")
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.")
-        self.num_envs, self.device = int(num_envs), checked_device(device)
+        super().__init__(num_envs, device, graph=graph, compile=compile)
         rules = spec or TRAINING
         bodies = {"robot": robot, "human": human}
         self._models = robot, human
@@ -120,35 +110,13 @@ class SocialNavTorchEnv:
         )
         self._names = tuple(dict.fromkeys(observations))
         pictured = bool(set(PICTURED) & set(observations))
-        compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
-        self._cameras = self._make_cameras(depth_size, compile=compiles, **bodies) if pictured else None
+        self._cameras = self._make_cameras(depth_size, compile=self._compiles, **bodies) if pictured else None
         self._action = torch.zeros((self.num_envs, self.sim.action_width), dtype=self.sim.dtype, device=self.device)
         nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
         self.play = Play.before_the_first(nothing, self.sim.dtype)
-        """Where all worlds are; these tensors are overwritten by every step."""
         self._shown: Tensors = {}
-        self._begun = False
-        self._graph = self.device.type == "cuda" if graph is None else graph
-        self._advance = self._eager
-        self._move = fused(self._moved) if compiles else self._moved
 
     # --- the interface ------------------------------------------------------------------------------------------------
-    def reset(self, *, seed: int | Sequence[int] | None = None, options: Any = None) -> tuple[Tensors, Tensors]:
-        """Begin the next episode in all worlds; with a seed, first go to the places in the bank that the runs seed,
-        seed + 1, ..., or those listed, begin at. There are no ``options``."""
-        if seed is None and not self._begun:
-            seed = int.from_bytes(os.urandom(7), "little")
-        with torch.no_grad():
-            if self._graph and self._advance == self._eager:
-                self._advance = captured(self._eager, list(self.play.tensors()))
-            if seed is not None:
-                self.play.episode.copy_(places_in_bank(seed, self.num_envs, len(self.bank)) - 1)
-            self.play.ended.fill_(True)
-            self._action.zero_()
-            self._advance()
-        self._begun = True
-        return self._result(self._shown), self.info()
-
     def step(self, actions: Tensor) -> tuple[Tensors, Tensor, Tensor, Tensor, Tensors]:
         """Move all worlds by ``actions`` [W, 2], forward and left turn in -1..1 of the limits (they are clipped), or begin
         their next episode: observations, rewards [W], terminated [W], truncated [W], info.
@@ -158,17 +126,13 @@ class SocialNavTorchEnv:
         Raises:
             InputError: the actions have another shape, or no episode has begun.
         """
-        if not self._begun:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+        self._require_begun()
         given = torch.as_tensor(actions)
         if given.shape != self._action.shape:
             raise InputError(f"Expected actions of shape {list(self._action.shape)}, got {list(given.shape)}.")
         with torch.no_grad():
             self._action.copy_(given, non_blocking=True)
-            self._advance()
-            play = self.play
-            ends = play.reward.to(torch.float32, copy=True), play.terminated.clone(), play.truncated.clone()
-        return self._result(self._shown), *ends, self.info()
+            return self._stepped()
 
     def info(self) -> Tensors:
         """What is known beyond the observations, [W] each; ``episode`` is a number in the bank."""
@@ -182,9 +146,6 @@ class SocialNavTorchEnv:
             "success": play.followed >= self.sim.paper.follow_steps,
         }
 
-    def close(self) -> None:
-        """Nothing needs closing."""
-
     # --- parts --------------------------------------------------------------------------------------------------------
     def _eager(self) -> None:
         """One step of all worlds, in place."""
@@ -195,9 +156,7 @@ class SocialNavTorchEnv:
 
     def _moved(self) -> Tensors:
         """A step but for its pictures."""
-        after = self.sim.step(self.play, self._action)
-        for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
-            tensor.copy_(value)
+        self._keep(self.sim.step(self.play, self._action))
         return {name: self.sim.observation(name, self.play) for name in self._names if name not in PICTURED}
 
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> TensorCameras:
@@ -225,9 +184,11 @@ class SocialNavTorchEnv:
             shown["humanoid_detector"] = (pixels > int(DETECTED_PIXELS * cameras.share)).float()[:, None]
         return shown
 
-    def _result(self, tensors: Tensors) -> Tensors:
-        """In tensors of their own: a graph writes into the same ones again."""
-        return {name: tensor.clone() for name, tensor in tensors.items()}
+    def _forget_actions(self) -> None:
+        self._action.zero_()
+
+    def _result(self) -> Tensors:
+        return {name: tensor.clone() for name, tensor in self._shown.items()}
 
     # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
     @cached_property
@@ -256,20 +217,6 @@ class SocialNavTorchEnv:
             spaces["arm_depth"] = gymnasium.spaces.Box(0.0, 1.0, shape, np.float32)
         return gymnasium.spaces.Dict({name: spaces[name] for name in self._names})
 
-    @cached_property
-    def action_space(self) -> Space[Any]:
-        """Of all worlds."""
-        from sim_kinematic.envs.stepper import gymnasium
-
-        return gymnasium.vector.utils.batch_space(self.single_action_space, self.num_envs)
-
-    @cached_property
-    def observation_space(self) -> Space[Any]:
-        """Of all worlds."""
-        from sim_kinematic.envs.stepper import gymnasium
-
-        return gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
-
     def __repr__(self) -> str:
         robot, human = self._models
         what = in_words(
@@ -277,31 +224,3 @@ class SocialNavTorchEnv:
             worlds=self.num_envs,
         )  # fmt: skip
         return f"SocialNavTorchEnv({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"
-
-
-def checked_device(device: torch.device | str) -> torch.device:
-    """The device of this name.
-
-    Raises:
-        InputError: there is none that this torch can use.
-    """
-    try:
-        chosen = torch.device(device)
-    except RuntimeError as fault:
-        raise InputError(f"Unknown device {device!r}. Expected cpu, cuda or cuda:N.") from fault
-    if chosen.type == "cuda" and not torch.cuda.is_available():
-        raise InputError("There is no GPU that this torch can use. Hint: device='cpu', or leave out device.")
-    return chosen
-
-
-def places_in_bank(seed: int | Sequence[int], worlds: int, episodes: int) -> Tensor:
-    """Where in a bank of episodes each world begins whose runs are seed, seed + 1, ..., or those listed, [W].
-
-    Raises:
-        InputError: there is neither one seed nor one for each world.
-    """
-    seeds = [int(seed) + w for w in range(worlds)] if isinstance(seed, int | np.integer) else list(seed)
-    if len(seeds) != worlds:
-        raise InputError(f"Expected one seed, or one for each of {worlds} worlds, got {len(seeds)}.")
-    drawn = random(keys(seeds, "bank", device="cpu"), torch.zeros(worlds, dtype=torch.int64), 1)[:, 0]
-    return (drawn * episodes).long()

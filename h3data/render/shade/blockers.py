@@ -189,7 +189,8 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
 
 
 def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
-    """What the spheres of each capsule [N, S, 4] cover: from x, y [px] and 1/z to x, y and 1/z, [N, 6]; 1e9 to 0 if nothing."""
+    """Boxes around the spheres of each capsule [N, S, 4]: from x, y [px] and 1/z to x, y and 1/z, [N, 6]; 1e9 to 0 if none is
+    seen."""
     center = (spheres[..., :3] - view.eye) @ view.axes
     side, z, r = center[..., :2], center[..., 2:], spheres[..., 3:]
     intrinsics = view.intrinsics / factor

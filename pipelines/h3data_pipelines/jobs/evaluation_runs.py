@@ -5,18 +5,15 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from h3data.errors import FormatError, InputError
-from h3data_pipelines.command import claim_folder, write_text
-from h3data_pipelines.execution.executors import check_workers, opened
+from h3data.errors import InputError
+from h3data.recording import Recording
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.jobs.episode_files import FileJobs, notes_on, requested_jobs
 from h3data_pipelines.jobs.episodes import Choices, skill_rules
@@ -29,9 +26,10 @@ from h3data_pipelines.jobs.evaluations import (
     write_recordings,
 )
 from h3data_pipelines.jobs.policy_table import PolicyTable, policy_table
+from h3data_pipelines.jobs.result_files import check_options, results_of, write_table
 
-RESULTS, RECORDINGS = "episodes", "recordings"
-"""Folders below that of an evaluation."""
+RECORDINGS = "recordings"
+"""Folder below that of an evaluation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,48 +172,48 @@ def evaluate_task(
         InputError: an option cannot be, or the folder holds results of other options, or anything else.
         FormatError: a file among the results is none.
     """
-    check_workers(executor, workers)
-    if force and resume:
-        raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.")
+    check_options(resume=resume, force=force, workers=workers, executor=executor)
     jobs, asked = request.evaluations()
-    folder, recordings = out / RESULTS, out / RECORDINGS
-    if resume and not folder.is_dir():
-        raise InputError(f"There is no evaluation to go on with; leave out --resume, or check -o: {out}")
-    with opened(executor, workers) as workforce:  # first: where nobody can work, nothing is deleted or written
-        claim_folder(out, force=force or folder.is_dir())  # with episodes/ it is an evaluation to go on with
-        folder.mkdir(exist_ok=True)
+    recordings = out / RECORDINGS
+    if keep:
+        jobs = [replace(job, keep=True) for job in jobs]
+    kept = {job.base.index: recordings / f"{job.base.index:06d}" for job in jobs}
+    made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
+
+    def prepare() -> None:
         if force:
-            for file in folder.glob("[0-9]*.json"):
-                file.unlink()
             shutil.rmtree(recordings, ignore_errors=True)
         if keep:
             recordings.mkdir(exist_ok=True)
-            jobs = [replace(job, keep=True) for job in jobs]
-        files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
-        kept = {job.base.index: recordings / f"{job.base.index:06d}" for job in jobs}
-        wanted = [job for job in jobs if not _is_done(files[job.base.index], job, kept[job.base.index])]
-        made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
-        bar = (progress or _Quiet)(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode")
-        with (
-            bar,
-            closing(
-                workforce.run(play_evaluation, wanted, lost=lambda job, fault: (failed_evaluation(job, fault), []))
-            ) as results,
-        ):
-            for result, of_pairs in results:
-                index = result["job"]["episode"]["index"]
-                if keep:
-                    write_recordings(of_pairs, kept[index])
-                write_text(files[index], json.dumps({**result, "created_by": made_by, "origin": origins[index]}) + "\n")
-                bar.update()
-    played = [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs]
+
+    def store(played: tuple[dict[str, Any], list[Recording]]) -> dict[str, Any]:
+        found, of_pairs = played
+        index = found["job"]["episode"]["index"]
+        if keep:
+            write_recordings(of_pairs, kept[index])
+        return {**found, "created_by": made_by, "origin": origins[index]}
+
+    played, new = results_of(
+        jobs,
+        out,
+        play_evaluation,
+        lost=lambda job, fault: (failed_evaluation(job, fault), []),
+        store=store,
+        prepare=prepare,
+        is_whole=lambda job: not keep or kept[job.base.index].is_dir(),
+        resume=resume,
+        force=force,
+        workers=workers,
+        executor=executor,
+        progress=progress,
+    )
     rows = [row for result in played for row in result["rows"]]
     result = EvaluationResult(
         folder=out,
         table=_table(jobs[0], rows, request.population),
         rows=tuple(rows),
         episodes=len(jobs),
-        new=len(wanted),
+        new=new,
         failed=tuple(
             f"episode {r['job']['episode']['index']} (seed {r['job']['episode']['seed']}), {f}"
             for r in played
@@ -226,23 +224,8 @@ def evaluate_task(
         job=_asked(request, jobs[0]),
         created_by=tuple(sorted({r.get("created_by", "unknown") for r in played})),
     )
-    write_text(out / "table.txt", result.to_text() + "\n")
-    write_text(out / "table.json", json.dumps(result.to_dict(), indent=2) + "\n")
+    write_table(out, result.to_text(), result.to_dict())
     return result
-
-
-class _Quiet:
-    """A progress bar that shows nothing."""
-
-    def __init__(self, **_options: object) -> None: ...
-
-    def __enter__(self) -> _Quiet:
-        return self
-
-    def __exit__(self, *_error: object) -> None: ...
-
-    def update(self) -> None:
-        """One more is done."""
 
 
 def _asked(request: EvaluationRequest, job: Evaluation) -> dict[str, Any]:
@@ -275,19 +258,3 @@ def _table(job: Evaluation, rows: list[dict[str, Any]], zsc: Sequence[str]) -> P
     if job.partners:
         rows = [{**row, "policy": f"{row['policy']} with {row['partner']}"} for row in rows]
     return policy_table(profile_for(task.name, {"profile": task.profile}), rows)
-
-
-def _is_done(file: Path, job: Evaluation, recordings: Path) -> bool:
-    """Whether the results of this very job are there, none of them failed; others' are refused."""
-    if not file.is_file():
-        return False
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        was, failed = found["job"], found["failed"]
-    except (ValueError, KeyError, TypeError):
-        raise FormatError(f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}") from None
-    if was != job.to_json():
-        raise InputError(
-            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
-        )
-    return not failed and (not job.keep or recordings.is_dir())

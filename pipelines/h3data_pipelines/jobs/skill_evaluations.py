@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from h3data.errors import FormatError, InputError
-from h3data_pipelines.command import claim_folder, write_text
-from h3data_pipelines.execution.executors import check_workers, opened
+from h3data.errors import InputError
 from h3data_pipelines.jobs.episodes import Job
-from h3data_pipelines.jobs.evaluation_runs import RESULTS, EvaluationRequest
+from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_pipelines.jobs.failed_episodes import reason_of
+from h3data_pipelines.jobs.result_files import check_options, results_of, write_table
 
 ORDER = ("nav", "pick", "place")
 
@@ -31,7 +28,7 @@ class SkillJob:
     seed: int
 
     def to_json(self) -> dict[str, Any]:
-        """What decides the results."""
+        """Everything that decides the results."""
         fields = self.base.to_json()
         for name in ("policy", "partner"):
             fields.pop(name, None)
@@ -40,7 +37,7 @@ class SkillJob:
 
 @dataclass(frozen=True, kw_only=True)
 class SkillEvaluationResult:
-    """What came of all episodes."""
+    """The outcomes of all episodes."""
 
     skills: str
     rows: tuple[dict[str, Any], ...]
@@ -92,7 +89,7 @@ class SkillEvaluationResult:
 
 
 def judge_episode(job: SkillJob) -> dict[str, Any]:
-    """What every learned skill comes to in one episode; an episode that raises is listed as failed."""
+    """The outcome of every learned skill in one episode; an episode that raises is listed as failed."""
     from sim_kinematic.motion.randomness import generator
     from sim_kinematic.policies.skills.names import skills_of
     from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
@@ -140,39 +137,19 @@ def evaluate_skills(
         InputError: an option cannot be, or the folder holds anything else.
         FormatError: a file among the results is none.
     """
-    check_workers(executor, workers)
-    if force and resume:
-        raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.")
+    check_options(resume=resume, force=force, workers=workers, executor=executor)
     jobs = [SkillJob(evaluation.base, request.seed) for evaluation in request.jobs()]
     if not (skills := jobs[0].base.spec.skills):
         raise InputError("Expected --skills: learned, a folder of training runs, or policy files of skills.")
-    folder = out / RESULTS
-    if resume and not folder.is_dir():
-        raise InputError(f"There is no evaluation to go on with; leave out --resume, or check -o: {out}")
-    with opened(executor, workers) as workforce:
-        claim_folder(out, force=force or folder.is_dir())
-        folder.mkdir(exist_ok=True)
-        if force:
-            for file in folder.glob("[0-9]*.json"):
-                file.unlink()
-        files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
-        wanted = [job for job in jobs if not _is_done(files[job.base.index], job)]
-        bar = None if progress is None else progress(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate",
-                                                     unit="episode")  # fmt: skip
-        with closing(workforce.run(judge_episode, wanted, lost=lost_episode)) as results:
-            for result in results:
-                write_text(files[result["job"]["episode"]["index"]], json.dumps(result) + "\n")
-                if bar is not None:
-                    bar.update()
-        if bar is not None:
-            bar.close()
-    played = [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs]
+    played, new = results_of(
+        jobs, out, judge_episode, lost=lost_episode, store=lambda result: result, resume=resume, force=force,
+        workers=workers, executor=executor, progress=progress,
+    )  # fmt: skip
     result = SkillEvaluationResult(
         skills=skills, rows=tuple(row for one in played for row in one["rows"]), failed=_faults(jobs, played),
-        new=len(wanted),
+        new=new,
     )  # fmt: skip
-    write_text(out / "table.txt", result.to_text() + "\n")
-    write_text(out / "table.json", json.dumps(result.to_dict(), indent=2) + "\n")
+    write_table(out, result.to_text(), result.to_dict())
     return result
 
 
@@ -182,19 +159,3 @@ def _faults(jobs: Sequence[SkillJob], played: Sequence[dict[str, Any]]) -> tuple
         for job, one in zip(jobs, played, strict=True)
         if one["failed"]
     )
-
-
-def _is_done(file: Path, job: SkillJob) -> bool:
-    """Whether the result of this very job is there and did not fail; another's is refused."""
-    if not file.is_file():
-        return False
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        was, failed = found["job"], found["failed"]
-    except (ValueError, KeyError, TypeError):
-        raise FormatError(f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}") from None
-    if was != job.to_json():
-        raise InputError(
-            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
-        )
-    return not failed

@@ -22,7 +22,7 @@ from h3data_training.populations.playing import Job, Played, Players
 from h3data_training.populations.pool import default_workers, episodes_of, homes_of, pool_of, pool_order
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from h3data_training.running import SPARE_S, Result, Say, is_over, one_thread, share_of, stop_asked
-from sim_kinematic.envs.social_nav_torch_env import checked_device
+from sim_kinematic.envs.torch_env import checked_device
 from sim_kinematic.policies.pictured import save_pictured
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 

@@ -121,7 +121,7 @@ def _results(
 
 
 class _Row(NamedTuple):
-    """What the choosers of one agent saw and did in a step, [W, ...] each."""
+    """Inputs and choices of one agent in a step, [W, ...] each."""
 
     each: Tensor
     rest: Tensor
@@ -171,7 +171,7 @@ class _Chooser:
         return torch.where(asked, chosen, FREE)
 
     def _asked(self, view: View) -> tuple[Tensor, View]:
-        """Who chooses now (`RecurrentChooser.interrupts`), and the view of those who are interrupted."""
+        """Agents that choose now (`RecurrentChooser.interrupts`), bool [W], and the view of those who are interrupted."""
         play, does = view.play, view.does
         running = does.skill.clamp_min(0)
         kind, holder = view.choices.kind[running], of_object(play.held_by, view.choices.target[running])

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from h3data.errors import InputError
+from h3data_training.held import HeldSteps
 from h3data_training.skills.settings import SkillSettings
+from sim_kinematic.envs.torch_env import places_in_bank
 from sim_kinematic.torch.graph import can_fuse, captured, fused
-from sim_kinematic.torch.random import keys, random
 from sim_kinematic.torch.skills.bank import SkillBank
 from sim_kinematic.torch.skills.teacher import taught
 from sim_kinematic.torch.skills.worlds import SkillTensors
@@ -19,11 +20,8 @@ COUNTS = ("reward", "succeeded", "failed", "ended", "steps", "contact", "holding
 """Sums over worlds and steps that `HeldSkills.totals` keeps."""
 
 
-class HeldSkills:
-    """`SkillTensors` in which an action moves all worlds ``hold`` steps: a `h3data_training.ppo.Worlds`.
-
-    A world whose episode ends on the way begins the next one at once; what it gains after that is not counted.
-    """
+class HeldSkills(HeldSteps):
+    """`SkillTensors` in which an action moves all worlds ``hold`` steps: a `h3data_training.ppo.Worlds`."""
 
     counts = COUNTS
 
@@ -43,9 +41,7 @@ class HeldSkills:
         self._names = tuple(dict.fromkeys((*settings.observations, *settings.critic)))
         worlds, where = self.num_envs, self.device
         self.play = self.sim.before_the_first(torch.full((worlds,), -1, dtype=torch.int64, device=where))
-        self.gain = torch.zeros(worlds, device=where)
-        self.over, self.timed_out, self.idle = (torch.zeros(worlds, dtype=torch.bool, device=where) for _ in range(3))
-        self.totals = torch.zeros(len(COUNTS), device=where)
+        self._make_totals(worlds, where)
         self._action = torch.zeros(worlds, self.sim.action_width, device=where)
         self._shown: dict[str, Tensor] = {}
         compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
@@ -57,8 +53,7 @@ class HeldSkills:
         with torch.no_grad():
             if self.device.type == "cuda" and self._advance == self._eager:
                 self._advance = captured(self._eager, list(self.play.tensors()))
-            drawn = random(keys(seed, "bank", device="cpu"), torch.zeros(len(seed), dtype=torch.int64), 1)[:, 0]
-            self.play.episode.copy_((drawn * len(self.sim.bank)).long().to(self.device) - 1)
+            self.play.episode.copy_(places_in_bank(seed, self.num_envs, len(self.sim.bank)) - 1)
             self.play.ended.fill_(True)
             self._action.zero_()
             hold, self.hold = self.hold, 1
@@ -67,40 +62,30 @@ class HeldSkills:
         return self._result(), {}
 
     def _eager(self) -> None:
+        self._hold_action()
+        self._shown = self.sim.observations(self._names, self.play)
+
+    def _step_held(self, k: int) -> None:
+        after = self._step(self.play, self._action, looks=k == self.hold - 1)
+        for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
+            tensor.copy_(value)
+
+    def _long_enough(self) -> Tensor:
+        return self.play.steps >= self.limit
+
+    def _counted(self, before: None, live: Tensor, ends: Tensor) -> list[Tensor]:
         play = self.play
-        idle, timed_out = play.ended.clone(), play.ended & play.truncated
-        live, inside = ~idle, torch.zeros_like(idle)
-        gain, sums = torch.zeros_like(self.gain), torch.zeros_like(self.totals)
-        for k in range(self.hold):
-            after = self._step(play, self._action, looks=k == self.hold - 1)
-            for tensor, value in zip(play.tensors(), after.tensors(), strict=True):
-                tensor.copy_(value)
-            enough = ~play.ended & (play.steps >= self.limit)
-            play.truncated.logical_or_(enough)
-            play.ended.logical_or_(enough)
-            ends = live & play.ended
-            gain = gain + torch.where(live, play.reward, 0.0)
-            sums = sums + torch.stack([
-                torch.where(live, play.reward, 0.0).sum(), (live & play.success).sum(),
-                (live & play.terminated & ~play.success).sum(), ends.sum(), live.sum(), (live & play.robot.contact).sum(),
-                (live & (play.held >= 0)).sum(),
-            ]).float()  # fmt: skip
-            live = live & ~ends
-            if k < self.hold - 1:
-                inside, timed_out = inside | ends, timed_out | (ends & play.truncated)
-        self._shown = self.sim.observations(self._names, play)
-        self.gain.copy_(gain)
-        self.over.copy_(idle | inside)
-        self.timed_out.copy_(timed_out)
-        self.idle.copy_(idle)
-        self.totals.add_(sums)
+        return [
+            (live & play.success).sum(), (live & play.terminated & ~play.success).sum(), ends.sum(), live.sum(),
+            (live & play.robot.contact).sum(), (live & (play.held >= 0)).sum(),
+        ]  # fmt: skip
 
     def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
         """As of `h3data_training.ppo.Worlds`."""
         with torch.no_grad():
             self._action.copy_(action)
             self._advance()
-        return self._result(), self.gain.clone(), self.over.clone(), self.timed_out.clone(), self.idle.clone()
+        return self._result(), *self._outcome()
 
     def taught(self) -> Tensor:
         """As of `h3data_training.ppo.Worlds`."""

@@ -105,7 +105,6 @@ class RearrangeSpec:
     something opens; those from before 0.3 know nothing of it."""
     oracle: OracleSpec | None = field(default=None, repr=False)
     """How skills are simplified to those of Habitat's oracles; None: they are not. `ORACLE_RULES` are the rules for them."""
-
     skills: str = field(default="", repr=False)
     """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Those that it does not
     name know all."""

@@ -18,7 +18,7 @@ from sim_kinematic.tasks.runner import Turns
 
 
 class SkillResult(NamedTuple):
-    """What came of a skill."""
+    """The end of a skill."""
 
     outcome: str
     """``done`` or ``failed``."""

@@ -1,0 +1,133 @@
+"""Evaluations in a folder, whatever is judged: a small file of results for each episode, so that one that was interrupted goes
+on where it was."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from h3data.errors import FormatError, InputError
+from h3data_pipelines.command import claim_folder, write_text
+from h3data_pipelines.execution.executors import check_workers, opened
+from h3data_pipelines.jobs.episodes import Job
+
+RESULTS = "episodes"
+
+
+class EpisodeJob(Protocol):
+    """An episode in which something is judged."""
+
+    @property
+    def base(self) -> Job: ...
+    def to_json(self) -> dict[str, Any]:
+        """Everything that decides the results; they have it as ``job``, with the number of the episode in ``episode``."""
+        ...
+
+
+J = TypeVar("J", bound=EpisodeJob)
+R = TypeVar("R")
+
+
+def check_options(*, resume: bool, force: bool, workers: int, executor: str) -> None:
+    """
+    Raises:
+        InputError: nobody can work like that, or both ``resume`` and ``force`` were asked for.
+    """
+    check_workers(executor, workers)
+    if force and resume:
+        raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.")
+
+
+def results_of(
+    jobs: Sequence[J],
+    out: Path,
+    work: Callable[[J], R],
+    *,
+    lost: Callable[[J, Exception], R],
+    store: Callable[[R], dict[str, Any]],
+    prepare: Callable[[], None] = lambda: None,
+    is_whole: Callable[[J], bool] = lambda job: True,
+    resume: bool = False,
+    force: bool = False,
+    workers: int = 1,
+    executor: str = "local",
+    progress: Callable[..., Any] | None = None,
+) -> tuple[list[dict[str, Any]], int]:
+    """The results of all jobs, in their order, and how many were new. Those that are in the folder are not played again.
+
+    Args:
+        jobs: One for each episode.
+        out: Folder, new or that of an interrupted evaluation with the same options.
+        work: Plays one, in another process.
+        lost: What comes of one whose process died.
+        store: Keeps what belongs to a result beside its file, and gives what the file holds.
+        prepare: Called once the folder is there.
+        is_whole: Whether what `store` keeps of a job is there.
+        resume: Whether ``out`` must hold an evaluation to go on with.
+        force: Whether results in ``out`` are deleted first.
+        workers: Number of processes.
+        executor: Who starts them: ``local``, ``ray`` or ``ray://host:port``.
+        progress: Makes a progress bar: called with ``total``, ``initial``, ``desc`` and ``unit``.
+
+    Raises:
+        InputError: the folder holds results of other options, or anything else.
+        FormatError: a file among the results is none.
+    """
+    folder = out / RESULTS
+    if resume and not folder.is_dir():
+        raise InputError(f"There is no evaluation to go on with; leave out --resume, or check -o: {out}")
+    files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
+    with opened(executor, workers) as workforce:  # first: where nobody can work, nothing is deleted or written
+        claim_folder(out, force=force or folder.is_dir())  # with episodes/ it is an evaluation to go on with
+        folder.mkdir(exist_ok=True)
+        if force:
+            for file in folder.glob("[0-9]*.json"):
+                file.unlink()
+        prepare()
+        wanted = [job for job in jobs if not (_is_done(files[job.base.index], job) and is_whole(job))]
+        bar = (progress or _Quiet)(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode")
+        with bar, closing(workforce.run(work, wanted, lost=lost)) as results:
+            for result in results:
+                stored = store(result)
+                write_text(files[stored["job"]["episode"]["index"]], json.dumps(stored) + "\n")
+                bar.update()
+    return [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs], len(wanted)
+
+
+def write_table(out: Path, text: str, data: dict[str, Any]) -> None:
+    """Writes the table of all results, for people and for programs."""
+    write_text(out / "table.txt", text + "\n")
+    write_text(out / "table.json", json.dumps(data, indent=2) + "\n")
+
+
+class _Quiet:
+    """A progress bar that shows nothing."""
+
+    def __init__(self, **_options: object) -> None: ...
+
+    def __enter__(self) -> _Quiet:
+        return self
+
+    def __exit__(self, *_error: object) -> None: ...
+
+    def update(self) -> None:
+        """One more is done."""
+
+
+def _is_done(file: Path, job: EpisodeJob) -> bool:
+    """Whether the results of this very job are there, none of them failed; others' are refused."""
+    if not file.is_file():
+        return False
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        was, failed = found["job"], found["failed"]
+    except (ValueError, KeyError, TypeError):
+        raise FormatError(f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}") from None
+    if was != job.to_json():
+        raise InputError(
+            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
+        )
+    return not failed
