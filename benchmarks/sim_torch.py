@@ -134,6 +134,10 @@ def run(emit: Emit) -> None:
             env, actions = _environment(worlds, "cuda", compile=compile)
             seconds = _wall_s(lambda e=env, a=actions: e.step(a))
             emit(f"sim.torch.cuda.env_w{worlds}_{name}_steps_per_s", worlds / seconds, "steps/s")
+    for compile, name in ((False, "graph"), (True, "compiled")):
+        env, actions = _environment(4096, "cuda", compile=compile, depth_size=(64, 64))
+        seconds = _wall_s(lambda e=env, a=actions: e.step(a))
+        emit(f"sim.torch.cuda.env_w4096_64x64_depth_{name}_steps_per_s", 4096 / seconds, "steps/s")
     for worlds in (16, 1024):
         for compile, name in ((False, "graph"), (True, "compiled")):
             emit(f"sim.gpu.human_robot.w{worlds}_{name}_depth_fps", _depth_fps(worlds, compile=compile), "frames/s")
@@ -239,12 +243,16 @@ def _wall_s(work: Callable[[], object], *, steps: int = 100) -> float:
     return median(times[1:])
 
 
-def _environment(worlds: int, device: str, *, compile: bool = False) -> tuple[Any, torch.Tensor]:
+def _environment(
+    worlds: int, device: str, *, compile: bool = False, depth_size: tuple[int, int] | None = None
+) -> tuple[Any, torch.Tensor]:
+    """One with arm depth where there is a size of pictures."""
     import torch
 
     from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
 
-    env = SocialNavTorchEnv(worlds, HOME, device=device, episodes=64, compile=compile)
+    shown: Any = {"depth_size": depth_size, "observations": ("arm_depth", "humanoid_gps")} if depth_size else {}
+    env = SocialNavTorchEnv(worlds, HOME, device=device, episodes=64, compile=compile, **shown)
     env.reset(seed=0)
     return env, torch.as_tensor(np.random.default_rng(0).uniform(-1, 1, (worlds, 2)), device=device)
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 View = Literal["robot", "human"]
 """Whose eyes: a named camera of the robot, or between those of the person."""
+NEAREST_M = 0.6
+"""One mesh has to do for all worlds; nearer than this to a camera a person seldom is."""
 
 
 class TensorCameras:
@@ -45,7 +47,7 @@ class TensorCameras:
         Args:
             scenes: The home that all worlds share, or those that `observe` chooses from.
             robot: Keeps its resting posture.
-            human: Is drawn with the full mesh.
+            human: Is drawn with the full mesh or, in pictures so small that it shows no more from `NEAREST_M`, with the light one.
             walker: Which clip the person plays.
             worlds: W.
             floor_y: Height of the floor [m].
@@ -68,13 +70,14 @@ class TensorCameras:
         self.share = width * height / (mounted.width * mounted.height)
         """Pixels of a picture over those of the robot's own camera."""
         homes = [scenes] if isinstance(scenes, Scene) else list(scenes)
-        stages = [_stage(home, robot, human) for home in homes]
-        links = [k for k, link in enumerate(robot.links) if link.mesh is not None]
-        self.renderer = (renderer or GpuRenderer)(stages, width=width, height=height, worlds=worlds, device=device)
         lenses = {
             "robot": pinhole(width, height, hfov_deg=hfov_deg or mounted.hfov_deg, name=camera),
             "human": pinhole(width, height, hfov_deg=HEAD_HFOV_DEG, name="human_head", near=HEAD_NEAR_M),
         }
+        focal = max(lenses[view].fx for view in self.views)
+        stages = [_stage(home, robot, human, light=human.light_enough(focal, NEAREST_M)) for home in homes]
+        links = [k for k, link in enumerate(robot.links) if link.mesh is not None]
+        self.renderer = (renderer or GpuRenderer)(stages, width=width, height=height, worlds=worlds, device=device)
         self._cameras = [lenses[view] for view in self.views for _ in range(worlds)]
         self._world_of_view = list(range(worlds)) * len(self.views)
 
@@ -121,11 +124,12 @@ class TensorCameras:
         return parts, _placed(posture, human.xz.float(), human.heading.float(), self._floor_y)
 
 
-def _stage(scene: Scene, robot: Robot, human: Humanoid) -> GpuScene:
+def _stage(scene: Scene, robot: Robot, human: Humanoid, *, light: bool) -> GpuScene:
     """A home with one robot and one person in it. Robot and person have the same slots in all homes."""
+    skin, worn = (human.lod, human.lod_mesh) if light else (human.full, human.mesh)
     home = render_scene(scene)
     links = [link for link in robot.links if link.mesh is not None]
-    meshes = [*home.meshes, *(link.mesh for link in links), human.mesh]
+    meshes = [*home.meshes, *(link.mesh for link in links), worn]
     first, person = len(home.instances), len(meshes) - 1
     ids = {i.name: i.semantic_id for i in scene.instances}
     instances = [replace(i, semantic_id=ids[i.name]) for i in home.instances]
@@ -137,7 +141,7 @@ def _stage(scene: Scene, robot: Robot, human: Humanoid) -> GpuScene:
     return GpuScene(
         RenderScene(meshes, instances, deformable=[person]),
         moving=range(first, first + len(links)),
-        skins={person: (human.full, human.inverse_bind)},
+        skins={person: (skin, human.inverse_bind)},
     )
 
 

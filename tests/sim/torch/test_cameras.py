@@ -52,7 +52,7 @@ def test_robots_and_people_see_what_they_see_on_the_cpu(device: Any) -> None:
     worlds, rng, state = 3, np.random.default_rng(3), WorldState.zeros(3)
     (robots,), (people,) = state.robots, state.people
     robots.xz[:], robots.heading[:] = FreeSpace.from_scene(home).sample(rng, worlds), rng.uniform(-3, 3, worlds)
-    people.xz[:] = robots.xz + 1.2 * np.stack([np.cos(robots.heading), -np.sin(robots.heading)], -1)
+    people.xz[:] = robots.xz + 1.8 * np.stack([np.cos(robots.heading), -np.sin(robots.heading)], -1)
     people.heading[:], people.distance[:], people.blend[:] = rng.uniform(-3, 3, worlds), [0, 1.234, 5.7], [0, 1, 1]
     drawn = StateRenderer(home, [robot, human], worlds=worlds)
     drawn.pose(state)
