@@ -152,8 +152,8 @@ def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInsta
 
 
 def in_world(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float | Tensor) -> Tensor:
-    """World matrices [W, N, 3, 4] of frames [N, 3, 4] or [W, N, 3, 4] in the frames of agents at [W, 2] with headings [W], on floors
-    of one height or of one for each world [W].
+    """World matrices [W, N, 3, 4] of frames [N, 3, 4] or [W, N, 3, 4] in the frames of agents at [W, 2] with headings [W], on
+    floors of one height, or of one for each world [W].
 
     Without a matrix product, which a GPU might do with 10 bits.
     """

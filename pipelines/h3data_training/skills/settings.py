@@ -95,7 +95,7 @@ RECIPES: dict[str, dict[Skill, SkillSettings]] = {
     "fast": {"nav": _FAST, "pick": _FAST_ARM, "place": replace(_FAST_ARM, skill="place")},
     "tiny": {"nav": _TINY, "pick": _ARM, "place": replace(_ARM, skill="place")},
 }
-"""``fast``: one GPU, minutes, pictures of 64 x 48 and what the paper's robot is told besides; the critic and the teacher are told the
+"""``fast``: one GPU, minutes, pictures of 64 x 48 and what the paper's robot is told besides; only critic and teacher are told the
 map. ``tiny``: one CPU core, and no pictures: the robot is told where its target is and where the path there begins."""
 
 

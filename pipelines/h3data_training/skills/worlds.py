@@ -46,7 +46,9 @@ class HeldSkills(HeldSteps):
         compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
         self._step = fused(self.sim.step) if compiles else self.sim.step
         self._cameras = (
-            self._make_cameras(settings.picture_size, compile=compiles) if "arm_depth" in settings.observations else None
+            self._make_cameras(settings.picture_size, compile=compiles)
+            if "arm_depth" in settings.observations
+            else None
         )
         self._advance = self._eager
 
@@ -81,7 +83,10 @@ class HeldSkills(HeldSteps):
             shown["arm_depth"] = ((depth.clip(near, far) - near) / (far - near))[..., None]
         if not self._shown:
             self._shown = {name: tensor.clone() for name, tensor in shown.items()}
-        for name, tensor in shown.items():  # the tensors of a captured graph are those that it writes to in every replay
+        for (
+            name,
+            tensor,
+        ) in shown.items():  # the tensors of a captured graph are those that it writes to in every replay
             self._shown[name].copy_(tensor)
 
     def _step_held(self, k: int) -> None:

@@ -97,8 +97,8 @@ class Arm:
         return Hand(link.point + (link.axes * self._at).sum(-1), link.axes)
 
     def frames(self, joints: Tensor, links: Sequence[int]) -> Tensor:
-        """Matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n] and all other joints
-        at rest."""
+        """Matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n] and all other
+        joints at rest."""
         found = self._followed(joints, self._movable)
         still = self._rest[:, :3].expand(len(joints), -1, 3, 4)
         moved = {link: torch.cat([frame.axes, frame.point[..., None]], -1) for link, frame in found.items()}

@@ -14,7 +14,6 @@ from h3data.scene import FreeSpace, Scene
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rearrange.skill_starts import SkillStart
 
-
 COLUMNS = ("place", "xz", "heading", "objects", "bodies", "turned", "target", "holds", "point", "stand")
 """The arrays of a `SkillBank`, with a row for each start."""
 

@@ -105,8 +105,8 @@ def _stage(scene: Scene, robot: Robot, bodies: NDArray[np.int64]) -> GpuScene:
 
 
 def _resting(bank: SkillBank, moving: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
-    """Where the movable objects of the homes are when nobody moves them, [homes, M, 3, 4], and their scales [homes, M, 3]; homes with
-    fewer than M have zeros."""
+    """Matrices of the movable objects of the homes where nobody has moved them, [homes, M, 3, 4], and their scales
+    [homes, M, 3]; homes with fewer than M have zeros."""
     most = max(map(len, moving))
     matrices, scales = np.zeros((len(moving), most, 3, 4)), np.zeros((len(moving), most, 3))
     for k, (scene, bodies) in enumerate(zip(bank.scenes, moving, strict=True)):

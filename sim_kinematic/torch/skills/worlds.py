@@ -219,8 +219,8 @@ class SkillTensors:
     def _turned_objects(
         self, play: SkillPlay, episode: Tensor, hand: Hand, held: Tensor, carried: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Axes of the objects after a step, [W, K, 3, 3], and of the held one in its hand, [W, 3, 3]. One that is taken stays turned
-        as it was; one that an episode begins with is turned as the hand is."""
+        """Axes of the objects after a step, [W, K, 3, 3], and of the held one in its hand, [W, 3, 3]. One that is taken stays
+        turned as it was; one that an episode begins with is turned as the hand is."""
         fresh = play.ended[:, None, None]
         axes = torch.where(fresh[..., None], self._turned[episode], play.turned)
         own = axes[torch.arange(len(held), device=self.device), held.clamp_min(0)]

@@ -79,7 +79,8 @@ def test_all_links_are_where_the_robots_kinematics_have_them(name: str) -> None:
 
 @pytest.mark.parametrize("skill", ["nav", "pick", "place"])
 def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Skill) -> None:
-    """Random commands, some of them beyond the limits: base, joints, grip and objects are where the CPU has them, turned as there."""
+    """Random commands, some of them beyond the limits: base, joints, grip and objects are where the CPU has them, and turned as
+    there."""
     starts = starts_of(episode, skill)
     if skill == "pick":  # something to take without getting there first
         hand = play_of(episode, starts[0], {}).robots[0].hand_pose[:3]
