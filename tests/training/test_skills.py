@@ -24,7 +24,7 @@ from h3data_training.skills.settings import OF_THE_ARM, SkillSettings, skill_rec
 from h3data_training.skills.worlds import HeldSkills
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.learned import network_of
-from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard
+from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.policies.skills.names import recorded_skills, skills_of
 from sim_kinematic.policies.skills.player import LearnedSkill
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
@@ -248,12 +248,15 @@ def test_worlds_show_pictures_of_the_state_after_the_last_step(bank: SkillBank) 
     assert torch.equal(after["arm_joints"], worlds.play.joints)
 
 
-def test_the_file_of_one_that_sees_plays_in_rearrangement(pictured: Path) -> None:
-    """It sees what it saw in training, and the recording is verified."""
-    episode = EpisodeSource(Rearrange(), "small:1").sample(0, 0)
-    assert isinstance(episode, RearrangeEpisode)
+@pytest.fixture(scope="module")
+def episode() -> RearrangeEpisode:
+    found = EpisodeSource(Rearrange(), "small:1").sample(0, 0)
+    assert isinstance(found, RearrangeEpisode)
+    return found
+
+
+def test_the_file_of_one_that_sees_is_shown_what_it_saw_in_training(pictured: Path, episode: RearrangeEpisode) -> None:
     skills = recorded_skills(str(pictured / POLICY))
-    assert skills_of(skills, robot="quad_arm")["pick"].network.sees
     start = draw_starts(episode, "pick", 1, np.random.default_rng(0), path_m=(0.0, 5.0))[0]
     seen: list[np.ndarray] = []
     learned = skills_of(skills, robot="quad_arm")["pick"]
@@ -270,6 +273,20 @@ def test_the_file_of_one_that_sees_plays_in_rearrangement(pictured: Path) -> Non
     want = CpuSkillCameras(sim, size=(16, 12)).observe(begun)["depth"][0, ..., None].numpy() / 10
     assert len(seen) == 2
     np.testing.assert_allclose(seen[0], want.clip(0, 1), atol=1e-5)
-    short = replace(episode, spec=replace(episode.spec, skills=skills, max_steps=12))
-    recording = simulate(Rearrange(), short, {"robot": "greedy_nearest", "human": "still"})
+
+
+def test_one_that_sees_plays_in_rearrangement_and_is_verified(tmp_path: Path, episode: RearrangeEpisode) -> None:
+    """What is in its pictures steers it."""
+    settings = replace(PICTURED, skill="nav", observations=("arm_depth", "target_gps_compass"), std=0.5)
+    torch.manual_seed(0)
+    net = ActorCritic(settings)
+    with torch.no_grad():
+        net.act[-1].weight.mul_(40.0)  # type: ignore[union-attr, operator]
+    card = PolicyCard(
+        task="skill_nav", robot="quad_arm", observations=settings.observations, picture_size=(16, 12), hold=3
+    )
+    save_pictured(PicturedNetwork(card=card, arrays=net.arrays()), tmp_path / "nav.npz")
+    short = replace(episode, spec=replace(episode.spec, skills=str(tmp_path), max_steps=24))
+    recording = simulate(Rearrange(), short, {"robot": "greedy_nearest", "human": "both"})
+    assert len({tuple(action) for action in recording.columns["agent_0.action"].round(4).tolist()}) > 4
     assert verify(recording).difference is None

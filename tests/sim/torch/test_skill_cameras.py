@@ -10,19 +10,24 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
+from torch.utils._pytree import tree_leaves  # noqa: E402
+
 from h3data.geometry import quat_from_heading  # noqa: E402
 from h3data_training.skills.cpu_cameras import CpuSkillCameras  # noqa: E402
+from h3data_training.skills.settings import skill_recipe  # noqa: E402
 from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
 from sim_kinematic.envs.skill_stepper import Stage  # noqa: E402
 from sim_kinematic.sensing.camera_sensor import ROBOT_ID, CameraSensor  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode  # noqa: E402
 from sim_kinematic.tasks.rearrange.skill_judging import play_of  # noqa: E402
-from sim_kinematic.tasks.rearrange.skill_starts import draw_starts  # noqa: E402
+from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, draw_starts  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import Turns  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 from sim_kinematic.torch.skills.bank import SkillBank  # noqa: E402
 from sim_kinematic.torch.skills.cameras import SkillCameras, moved_bodies  # noqa: E402
+from sim_kinematic.torch.skills.teacher import taught  # noqa: E402
 from sim_kinematic.torch.skills.worlds import SkillPlay, SkillTensors  # noqa: E402
 from tests.sim.torch.test_cameras import device  # noqa: E402, F401
 
@@ -88,6 +93,40 @@ def test_it_sees_what_it_sees_on_the_cpu(device: Any) -> None:  # noqa: F811
     assert max(wrong) < 2e-3
     assert min(shows_robot, shows_held) > 500
     assert now.held.tolist() == [-1, pick.target, place.target]
+
+
+class OnTheDevice(TorchDispatchMode):
+    """Refuses operations with tensors elsewhere, which a CUDA graph cannot capture. What waits for a value fails by itself on the
+    device meta, where tensors have none."""
+
+    def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        made = operation(*args, **(kwargs or {}))
+        tensors = [t for t in tree_leaves((args, kwargs, made)) if isinstance(t, torch.Tensor)]
+        elsewhere = [t for t in tensors if t.device.type != "meta" and t.ndim]
+        assert not elsewhere, f"{operation} on {elsewhere[0].device}"
+        return made
+
+
+@pytest.mark.parametrize("skill", SKILL_NAMES)
+def test_a_step_and_its_frames_never_leave_the_device(skill: Skill) -> None:
+    episode = episode_of("small:1")
+    starts = draw_starts(episode, skill, 2, np.random.default_rng(1), path_m=(0.0, 5.0))
+    sim = SkillTensors(skill, SkillBank.of([(episode, episode.free, starts)]), device="meta", dtype=torch.float32)
+    cameras = SkillCameras(sim, worlds=4, size=SIZE, renderer=lambda stages, **options: None)  # type: ignore[arg-type, return-value]
+    play = sim.before_the_first(torch.full((4,), -1, dtype=torch.int64, device="meta"))
+    action = torch.zeros(4, sim.action_width, device="meta")
+    settings = skill_recipe("fast", skill)
+    with OnTheDevice():
+        for looks in (False, True):
+            after = sim.step(play, action, looks=looks)
+            for was, now in zip(play.tensors(), after.tensors(), strict=True):
+                assert (was.shape, was.dtype) == (now.shape, now.dtype)
+            play = after
+        shown = sim.observations([*settings.observations[1:], *settings.critic], play)
+        links, objects = cameras._frames_of(play)
+        wanted = taught(sim, play, 3)
+    assert {t.dtype for t in (*shown.values(), links, objects, wanted)} == {torch.float32}
+    assert wanted.shape == action.shape
 
 
 def test_each_world_sees_the_home_of_its_episode(device: Any) -> None:  # noqa: F811
