@@ -34,7 +34,7 @@ from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.sources import EpisodeSource
-from sim_kinematic.torch.skills.bank import SkillBank
+from sim_kinematic.torch.skills.bank import COLUMNS, SkillBank
 from sim_kinematic.torch.skills.worlds import SkillTensors
 
 SMALL = replace(
@@ -181,6 +181,28 @@ def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str) -> None:
 def test_a_teachers_weight_comes_down_to_nothing() -> None:
     weights = [schedule(SMALL, share, 10).teacher for share in (0.0, 0.3, 0.6, 1.0)]
     assert weights == pytest.approx([3.0, 1.5, 0.0, 0.0])
+
+
+def test_starts_are_kept_in_a_file_and_read_again(
+    bank: SkillBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "starts.npz"
+    make_skill_bank(SMALL, seed=0, workers=1, file=file)
+    kept = file.read_bytes()
+    other = make_skill_bank(SMALL, seed=1, workers=1, file=file)
+    assert not np.array_equal(other.xz, bank.xz)
+    for damaged in (b"", kept[:500], b"no file"):
+        file.write_bytes(damaged)
+        make_skill_bank(SMALL, seed=0, workers=1, file=file)
+        with np.load(file) as arrays:
+            np.testing.assert_array_equal(arrays["xz"], bank.xz)
+    monkeypatch.setattr("h3data_training.skills.episodes.draw_starts", None)
+    again = make_skill_bank(SMALL, seed=0, workers=1, file=file)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(again, name), getattr(bank, name), err_msg=name)
+        assert getattr(again, name).dtype == getattr(bank, name).dtype
+    assert [scene.name for scene in again.scenes] == [scene.name for scene in bank.scenes]
+    np.testing.assert_array_equal(again.floors[0].sdf, bank.floors[0].sdf)
 
 
 def test_starts_nearby_are_repeated(bank: SkillBank) -> None:

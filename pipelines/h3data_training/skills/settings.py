@@ -73,6 +73,10 @@ class SkillSettings(Settings):
             else (*still, *(0.0 for _ in load_robot(self.robot).require_arm()), GRIPS[self.skill])
         )
 
+    def second_stage(self) -> SkillSettings:
+        """As in social navigation, and without the teacher: the actor has left it behind."""
+        return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
+
     def as_dict(self) -> dict[str, Any]:
         return {name: value for name, value in super().as_dict().items() if name not in UNUSED}
 
@@ -95,8 +99,8 @@ RECIPES: dict[str, dict[Skill, SkillSettings]] = {
     "fast": {"nav": _FAST, "pick": _FAST_ARM, "place": replace(_FAST_ARM, skill="place")},
     "tiny": {"nav": _TINY, "pick": _ARM, "place": replace(_ARM, skill="place")},
 }
-"""``fast``: one GPU, minutes, pictures of 64 x 48 and what the paper's robot is told besides; only critic and teacher are told the
-map. ``tiny``: one CPU core, and no pictures: the robot is told where its target is and where the path there begins."""
+"""``fast``: one GPU, minutes, pictures of 64 x 48 and what the paper's robot is told besides; only critic and teacher are told
+the map. ``tiny``: one CPU core, and no pictures: the robot is told where its target is and where the path there begins."""
 
 
 def skill_recipe(name: str, skill: str, **changes: Any) -> SkillSettings:

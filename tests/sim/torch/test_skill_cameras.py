@@ -96,8 +96,8 @@ def test_it_sees_what_it_sees_on_the_cpu(device: Any) -> None:  # noqa: F811
 
 
 class OnTheDevice(TorchDispatchMode):
-    """Refuses operations with tensors elsewhere, which a CUDA graph cannot capture. What waits for a value fails by itself on the
-    device meta, where tensors have none."""
+    """Refuses operations with tensors elsewhere, which a CUDA graph cannot capture. What waits for a value fails by itself on
+    the device meta, where tensors have none."""
 
     def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         made = operation(*args, **(kwargs or {}))
