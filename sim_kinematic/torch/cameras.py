@@ -47,8 +47,8 @@ class TensorCameras:
         Args:
             scenes: The home that all worlds share, or those that `observe` chooses from.
             robot: Keeps its resting posture.
-            human: Is drawn with the full mesh or, where pictures are so small that one sees no difference from `NEAREST_M`, with
-                the light one.
+            human: Is drawn with the full mesh or, where pictures are so small that one sees no difference from `NEAREST_M`,
+                with the light one.
             walker: Which clip the person plays.
             worlds: W.
             floor_y: Height of the floor [m].
