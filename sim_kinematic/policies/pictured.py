@@ -2,8 +2,8 @@
 
 ``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``, of skills that move
 the arm also its joints and the grip. It is evaluated by one small kernel, in a millisecond: sums in a fixed order give the same
-bits in every process, which neither PyTorch nor NumPy's BLAS does, whose order depends on the number of threads, and threads for
-so little work cost more than the work.
+bits in every process, which neither PyTorch nor NumPy's BLAS does, whose order depends on the number of threads, and threads
+for so little work cost more than the work.
 `h3data_training.networks` is the same in PyTorch; tests/training/test_policy_files.py compares the two.
 
 The file is an npz of float32 arrays and one JSON text. Nothing in it is executed when it is read: no pickle, no code.
