@@ -60,13 +60,21 @@ def main(arguments: list[str]) -> int:
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": " ".join(["python -m benchmarks", *arguments]),
         "machine": {"processor": _processor(), "gpu": _gpu(), "cpus": os.cpu_count(), "platform": platform.platform()},
-        "versions": {p: importlib.metadata.version(p) for p in ("h3data", "numpy", "numba", "pyarrow", "mcap")},
+        "versions": {p: _version(p) for p in ("h3data", "numpy", "numba", "pyarrow", "mcap")},
         "figures": {name: {"value": value, "unit": unit} for name, (value, unit) in figures.items()},
     }
     (FOLDER / "results").mkdir(exist_ok=True)
     path = FOLDER / "results" / f"{time.strftime('%Y%m%d-%H%M%S')}-{'-'.join(wanted) or 'all'}.json"
     path.write_text(json.dumps(record, indent=2) + "\n")
     return 0
+
+
+def _version(package: str) -> str | None:
+    """None where it is not installed: h3data may be a source tree on the path."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def _processor() -> str:

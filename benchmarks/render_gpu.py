@@ -1,9 +1,10 @@
 """GPU renderer: frames per second of a whole step, by picture size and number of worlds, on the machine's first GPU.
 
 A step is: new poses of 25 rigid things, a skinned person (55 joints; the full mesh, 47 k triangles, or the light one, 4 k, in
-pictures of 64 x 64 and 128 x 128, where one sees no difference at 1.3 m), a new camera, and the pictures (depth and instance ids; one line with RGB), all in a generated home of 1.1 M triangles, for every world. Times are
-wall-clock times of a captured step, Python and the wait for the GPU included, the median after warm-up; those called
-uncaptured are CUDA events around a step that Python launches kernel by kernel.
+pictures of 64 x 64 and 128 x 128, where one sees no difference at 1.3 m), a new camera, and the pictures (depth and instance
+ids; one line with RGB), all in a generated home of 1.1 M triangles, for every world. Times are wall-clock times of a captured
+step, Python and the wait for the GPU included, the median after warm-up; those called uncaptured are CUDA events around a step
+that Python launches kernel by kernel.
 """
 
 from __future__ import annotations

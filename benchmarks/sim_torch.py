@@ -159,7 +159,7 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
     sim = SocialNavTensors(bank, device="cuda", spec=rules)
     cameras = TensorCameras(
         bank.scenes[0], load_robot("quad_arm"), load_humanoid("female_0"), rules.human, worlds=worlds,
-        floor_y=bank.floors[0].floor_y, views=("robot", "human"), size=(256, 256), hfov_deg=90.0,
+        floor_y=bank.floors[0].floor_y, views=("robot_arm", "human"), size=(256, 256), hfov_deg=90.0,
         compile=compile,
     )  # fmt: skip
     play = Play.before_the_first(torch.arange(worlds, device="cuda") % len(bank), sim.dtype)

@@ -15,14 +15,16 @@ from torch.nn import functional as F
 
 from h3data.errors import InputError
 from h3data_training.settings import Settings
-from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM
+from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM, pixels_of
 from sim_kinematic.policies.pictured import (
     PATCH,
+    PICTURES,
     SPEED_MPS,
     STRIDES,
     PicturedNetwork,
     lengths,
     number_count,
+    picture_in,
     picture_length,
 )
 
@@ -53,7 +55,7 @@ def _encoded(name: str, seen: Tensor) -> Tensor:
 
 def actor_numbers(shown: Shown, last: Tensor, names: tuple[str, ...]) -> Tensor:
     """What the actor is told beside the picture, with the last action [n, A]."""
-    return torch.cat([*(_encoded(n, shown[n]) for n in names if n != "arm_depth"), last], 1)
+    return torch.cat([*(_encoded(n, shown[n]) for n in names if n not in PICTURES), last], 1)
 
 
 def critic_numbers(shown: Shown, over: Tensor, names: tuple[str, ...]) -> Tensor:
@@ -65,10 +67,11 @@ def critic_length(settings: Settings) -> int:
     return sum(lengths(name, settings.actions)[1] for name in settings.critic) + 1
 
 
-def picture(depth: Tensor) -> Tensor:
-    """Near things in more detail, squares of pixels as channels: [n, H, W, 1] -> [n, 16, H / 4, W / 4], half precision, in
-    which the rollouts of 4,096 worlds take 0.8 GB."""
-    return F.pixel_unshuffle(depth.permute(0, 3, 1, 2).sqrt().half(), PATCH)
+def picture(seen: Tensor) -> Tensor:
+    """Squares of pixels as channels, of depth near things in more detail: [n, H, W, planes] -> [n, 16 planes, H / 4, W / 4],
+    half precision, in which the depth of rollouts of 4,096 worlds takes 0.8 GB."""
+    scaled = seen.sqrt() if seen.shape[-1] == 1 else seen.float() / 255
+    return F.pixel_unshuffle(scaled.permute(0, 3, 1, 2).half(), PATCH)
 
 
 class ActorCritic(nn.Module):
@@ -77,7 +80,7 @@ class ActorCritic(nn.Module):
     def __init__(self, settings: Settings) -> None:
         super().__init__()
         s, numbers = settings, number_count(settings.observations, settings.actions)
-        self.least_std, self.sees = s.least_std, "arm_depth" in s.observations
+        self.least_std, self.sees = s.least_std, picture_in(s.observations)
         self.state_length = s.hidden
         last = self._make_actor(s, numbers)
         told = critic_length(s)
@@ -94,7 +97,7 @@ class ActorCritic(nn.Module):
     def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
         """Makes the layers of the actor and returns the last one."""
         if self.sees:
-            widths = (PATCH * PATCH, *s.channels)
+            widths = (PICTURES[self.sees] * PATCH * PATCH, *s.channels)
             self.convolutions = nn.ModuleList(
                 nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1) for k, stride in enumerate(STRIDES)
             ).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -110,9 +113,9 @@ class ActorCritic(nn.Module):
     def std(self) -> Tensor:
         return self.log_std.exp().clamp_min(self.least_std)
 
-    def pixels(self, depth: Tensor) -> Tensor:
-        """Depth [n, H, W, 1] as it is kept in rollouts."""
-        return picture(depth)
+    def pixels(self, seen: Tensor) -> Tensor:
+        """A picture [n, H, W, planes] as it is kept in rollouts."""
+        return picture(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
         """What goes into the recurrent layer, [n, F]."""
@@ -197,12 +200,15 @@ class ResNetActorCritic(ActorCritic):
 
     def _make_actor(self, s: Settings, numbers: int) -> nn.Linear:
         size = s.picture_size if self.sees else None
-        self.actor = ResNetLSTM(numbers, size=size, planes=s.channels[0], features=s.features, hidden=s.hidden)
+        self.actor = ResNetLSTM(
+            numbers, size=size, given=PICTURES[self.sees or "arm_depth"], planes=s.channels[0], features=s.features,
+            hidden=s.hidden,
+        )  # fmt: skip
         self.state_length = self.actor.state_length
         return self.actor.act
 
-    def pixels(self, depth: Tensor) -> Tensor:
-        return depth.permute(0, 3, 1, 2).half()
+    def pixels(self, seen: Tensor) -> Tensor:
+        return pixels_of(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
         return self.actor.features(pixels, numbers)

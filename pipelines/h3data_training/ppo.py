@@ -135,7 +135,7 @@ class Learner:
             "numbers": actor_numbers(shown, self.memory.last, s.observations),
             "told": critic_numbers(shown, over, s.critic),
         }
-        return found | ({"pixels": self.net.pixels(shown["arm_depth"])} if self.net.sees else {})
+        return found | ({"pixels": self.net.pixels(shown[self.net.sees])} if self.net.sees else {})
 
     @torch.no_grad()
     def _collect(self, gamma: float) -> dict[str, Tensor]:

@@ -28,7 +28,7 @@ from h3data_training.skills.settings import SkillSettings
 from h3data_training.skills.worlds import HeldSkills
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
-from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
+from sim_kinematic.policies.pictured import PICTURES, PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.torch.episodes import EpisodeBank
 from sim_kinematic.torch.skills.bank import SkillBank
 
@@ -287,7 +287,7 @@ class _Run:
             own = "source"
         s, updates = self.settings, len(self.curve)
         last = {k: v for k, v in self.curve[-1].items() if k in TOLD} if self.curve else {}
-        pictured = {"arm_depth", "humanoid_detector"} & set(s.observations)
+        pictured = {*PICTURES, "humanoid_detector"} & set(s.observations)
         kind = PicturedNetwork if s.network == "cnn_gru" else ResNetPolicy
         return kind(
             card=PolicyCard(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from h3data.errors import InputError
-from sim_kinematic.policies.pictured import BASE_ACTIONS, OF_SOCIAL_NAV, PATCH
+from sim_kinematic.policies.pictured import BASE_ACTIONS, OF_SOCIAL_NAV, PATCH, PICTURES
 
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
 """What the paper's policy sees (appendix, social navigation)."""
@@ -85,7 +85,7 @@ class Settings:
     """Length of the run, set-up included."""
 
     def __post_init__(self) -> None:
-        known = ("arm_depth", *self.told)
+        known = (*self.pictures, *self.told)
         strangers = [name for name in self.observations if name not in known]
         if strangers or not self.observations:
             raise InputError(f"Expected observations among {', '.join(known)}; got {', '.join(strangers) or 'none'}.")
@@ -104,6 +104,8 @@ class Settings:
         for name in whole:
             if getattr(self, name) < 1:
                 raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
+        if set(PICTURES) <= set(self.observations):
+            raise InputError(f"Expected one picture among the observations, not {' and '.join(PICTURES)}.")
         if self.network not in NETWORKS:
             raise InputError(f"Unknown network {self.network!r}. Expected one of: {', '.join(NETWORKS)}.")
         if self.network == "cnn_gru" and any(side < PATCH or side % PATCH for side in self.picture_size):
@@ -128,8 +130,13 @@ class Settings:
         return "social_nav"
 
     @property
+    def pictures(self) -> tuple[str, ...]:
+        """Of which the actor may be shown one,"""
+        return tuple(PICTURES)
+
+    @property
     def told(self) -> tuple[str, ...]:
-        """Observations that the actor may have beside ``arm_depth``."""
+        """and what it may be told beside it."""
         return OF_SOCIAL_NAV
 
     @property

@@ -17,7 +17,7 @@ from h3data.scene import Scene
 from h3data_training.episodes import rules
 from h3data_training.held import HeldSteps
 from h3data_training.settings import CRITIC, Settings
-from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
+from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv, arm_cameras
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
@@ -33,35 +33,37 @@ class CpuCameras:
 
     def __init__(
         self, scenes: Sequence[Scene], robot: str, human: str, walker: WalkerSpec, *, floors: Sequence[float],
-        size: tuple[int, int],
+        views: Sequence[str], size: tuple[int, int],
     ) -> None:  # fmt: skip
-        self._scenes, self._floors, self._walker = scenes, floors, walker
+        self._scenes, self._floors, self._walker, self.views = scenes, floors, walker, tuple(views)
         self._bodies = load_robot(robot), load_humanoid(human)
         own = self._bodies[0].camera("robot_arm")
         self.share = size[0] * size[1] / (own.width * own.height)
         self.renderer = SimpleNamespace(width=size[0], height=size[1])
         self._size = size
         self._drawn: dict[int, StateRenderer] = {}
+        self._state, self._homes = WorldState.zeros(0), np.zeros(0, int)
 
-    def observe(
-        self, robot: RobotTensors, human: HumanTensors, outputs: Sequence[Output], *, place: Tensor | None = None
-    ) -> dict[str, Tensor]:
-        """As `sim_kinematic.torch.cameras.TensorCameras.observe`."""
+    def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
+        """As `sim_kinematic.torch.cameras.TensorCameras.pose`."""
         state = WorldState.zeros(len(robot.heading), joints=[len(self._bodies[0].rest)])
         robot.put(state.robots[0])
         human.put(state.people[0])
         state.robots[0].joints[:] = self._bodies[0].rest
-        sensor = CameraSensor(outputs=tuple(outputs), size=self._size)
+        self._state, self._homes = state, np.zeros(state.worlds, int) if place is None else place.numpy().copy()
+
+    def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
+        """As `sim_kinematic.torch.cameras.TensorCameras.picture`."""
+        sensor = CameraSensor(camera=view, outputs=tuple(outputs), size=self._size)
         taken: dict[str, list[np.ndarray]] = {name: [] for name in outputs}
-        homes = np.zeros(state.worlds, int) if place is None else place.numpy()
-        for w, home in enumerate(homes.tolist()):
+        for w, home in enumerate(self._homes.tolist()):
             if home not in self._drawn:
                 speed = self._walker.speed_mps
                 self._drawn[home] = StateRenderer(self._scenes[home], self._bodies, speed_mps=speed)
-            self._drawn[home].pose(state.take(np.array([w])), floor=self._floors[home])
+            self._drawn[home].pose(self._state.take(np.array([w])), floor=self._floors[home])
             for name, picture in sensor.observe(self._drawn[home]).items():
                 taken[name].append(picture[0])
-        return {name: torch.as_tensor(np.stack(pictures))[None] for name, pictures in taken.items()}
+        return {name: torch.as_tensor(np.stack(pictures)) for name, pictures in taken.items()}
 
 
 class HeldWorlds(HeldSteps, SocialNavTorchEnv):
@@ -93,7 +95,15 @@ class HeldWorlds(HeldSteps, SocialNavTorchEnv):
             return super()._make_cameras(size, compile=compile, robot=robot, human=human)
         assert size is not None
         floors = [floor.floor_y for floor in self.bank.floors]
-        return CpuCameras(self.bank.scenes, robot, human, self.sim.spec.human, floors=floors, size=size)
+        return CpuCameras(
+            self.bank.scenes,
+            robot,
+            human,
+            self.sim.spec.human,
+            floors=floors,
+            views=arm_cameras(self._names),
+            size=size,
+        )
 
     def _eager(self) -> None:
         self._hold_action()

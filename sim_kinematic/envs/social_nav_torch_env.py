@@ -22,11 +22,13 @@ from sim_kinematic.torch.social_nav import Play, SocialNavTensors
 if TYPE_CHECKING:
     from gymnasium.spaces import Box, Dict
 
+    from h3data.render import Output
     from sim_kinematic.torch.cameras import TensorCameras
     from sim_kinematic.torch.episodes import EpisodeBank
 
 TorchObservation = Literal[
     "arm_depth",
+    "arm_rgb",
     "humanoid_detector",
     "humanoid_gps",
     "egomotion",
@@ -36,11 +38,19 @@ TorchObservation = Literal[
     "range_scan",
 ]
 """What a device shows; as in `sim_kinematic.envs.social_nav_observations`."""
-PICTURED = ("arm_depth", "humanoid_detector")
+PICTURED = ("arm_depth", "arm_rgb", "humanoid_detector")
 """Those that need a picture, and so a GPU."""
+OUTPUTS: dict[str, Output] = {"arm_depth": "depth", "humanoid_detector": "semantic"}
+"""Outputs of the arm's depth camera that they come from."""
 STATE: tuple[TorchObservation, ...] = ("humanoid_gps", "egomotion")
+ARM, ARM_RGB = "robot_arm", "robot_arm_rgb"
 EPISODES = 512
 """Of the bank, unless said otherwise: some seconds to draw."""
+
+
+def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:
+    """Cameras of a robot's arm that observations need: that of depth and detector, then that of colours, where there is one."""
+    return (*[ARM] * bool(set(OUTPUTS) & set(observations)), *[ARM_RGB] * ("arm_rgb" in observations))
 
 
 class SocialNavTorchEnv(TorchEnv[Play]):
@@ -169,19 +179,22 @@ class SocialNavTorchEnv(TorchEnv[Play]):
             )
         return TensorCameras(
             self.bank.scenes, load_robot(robot), load_humanoid(human), self.sim.spec.human, worlds=self.num_envs,
-            floor_y=heights[0], size=size, device=self.device, compile=compile,
+            floor_y=heights[0], views=arm_cameras(self._names), size=size, device=self.device, compile=compile,
         )  # fmt: skip
 
     def _pictures(self, cameras: TensorCameras) -> Tensors:
-        detects = "humanoid_detector" in self._names
-        outputs = ("depth", "semantic") if detects else ("depth",)
         place = self.sim.place_of(self.play) if len(self.bank.scenes) > 1 else None
-        seen = cameras.observe(self.play.robot, self.play.human, outputs, place=place)
-        near, far = DEPTH_RANGE_M
-        shown = {"arm_depth": ((seen["depth"][0].clip(near, far) - near) / (far - near))[..., None]}
-        if detects:
-            pixels = (seen["semantic"][0] == HUMAN_ID).sum((-2, -1))
+        cameras.pose(self.play.robot, self.play.human, place=place)
+        by_arm: list[Output] = [OUTPUTS[name] for name in self._names if name in OUTPUTS]
+        seen, shown = cameras.picture(cameras.views[0], by_arm) if by_arm else {}, {}
+        if "depth" in seen:
+            near, far = DEPTH_RANGE_M
+            shown["arm_depth"] = ((seen["depth"].clip(near, far) - near) / (far - near))[..., None]
+        if "semantic" in seen:
+            pixels = (seen["semantic"] == HUMAN_ID).sum((-2, -1))
             shown["humanoid_detector"] = (pixels > int(DETECTED_PIXELS * cameras.share)).float()[:, None]
+        if "arm_rgb" in self._names:
+            shown["arm_rgb"] = cameras.picture(cameras.views[-1], ("rgb",))["rgb"]
         return shown
 
     def _forget_actions(self) -> None:
@@ -210,11 +223,12 @@ class SocialNavTorchEnv(TorchEnv[Play]):
             if name == "humanoid_detector"
             else box(SENSORS[name].limits())
             for name in self._names
-            if name != "arm_depth"
+            if name not in ("arm_depth", "arm_rgb")
         }
-        if self._cameras is not None and "arm_depth" in self._names:
-            shape = (self._cameras.renderer.height, self._cameras.renderer.width, 1)
-            spaces["arm_depth"] = gymnasium.spaces.Box(0.0, 1.0, shape, np.float32)
+        if self._cameras is not None:
+            size = self._cameras.renderer.height, self._cameras.renderer.width
+            spaces["arm_depth"] = gymnasium.spaces.Box(0.0, 1.0, (*size, 1), np.float32)
+            spaces["arm_rgb"] = gymnasium.spaces.Box(0, 255, (*size, 3), np.uint8)
         return gymnasium.spaces.Dict({name: spaces[name] for name in self._names})
 
     def __repr__(self) -> str:

@@ -175,7 +175,7 @@ class PicturedNavigation:
         Raises:
             FormatError: it is for another task or another robot.
         """
-        require(network, "social_nav", {"arm_depth": None, **pictured.ENCODINGS}, outputs=2)
+        require(network, "social_nav", {**pictured.PICTURES, **pictured.ENCODINGS}, outputs=2)
         if robot and robot != network.card.robot:
             raise FormatError(f"These weights drive the robot {network.card.robot}, the episode has {robot}.")
         self.network = network

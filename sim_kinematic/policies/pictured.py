@@ -1,9 +1,9 @@
 """A recurrent network that sees: pictures and numbers in, a command of a robot out, in a file of plain arrays.
 
-``depth -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``, of skills that move the
-arm also its joints and the grip. It is evaluated by one
-small kernel, in a millisecond: sums in a fixed order give the same bits in every process, which neither PyTorch nor NumPy's
-BLAS does, whose order depends on the number of threads, and threads for so little work cost more than the work.
+``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``, of skills that move
+the arm also its joints and the grip. It is evaluated by one small kernel, in a millisecond: sums in a fixed order give the same
+bits in every process, which neither PyTorch nor NumPy's BLAS does, whose order depends on the number of threads, and threads
+for so little work cost more than the work.
 `h3data_training.networks` is the same in PyTorch; tests/training/test_policy_files.py compares the two.
 
 The file is an npz of float32 arrays and one JSON text. Nothing in it is executed when it is read: no pickle, no code.
@@ -30,6 +30,8 @@ from h3data.kernels import kernel
 FILE_FORMAT = "h3data.policy/1"
 PATCH = 4
 """Squares of 4 x 4 pixels become 16 channels, so that the first convolution works on a twelfth of the positions."""
+PICTURES = {"arm_depth": 1, "arm_rgb": 3}
+"""Pictures that a network may be shown, one of them, and how many planes they have."""
 STRIDES = (1, 2, 2)
 """Of the three convolutions, 3 x 3 with a margin of 1."""
 SPEED_MPS = 2.5
@@ -78,7 +80,7 @@ ENCODINGS = {
     "is_holding": (_as_it_is, 1, 1),
     "arm_joints": (_turns, 0, 0),
 }
-"""Observations that a network may be shown beside ``arm_depth``: their encoding, their length, and the length it gives; of
+"""Observations that a network may be shown beside a picture: their encoding, their length, and the length it gives; of
 ``arm_joints`` both are the number of joints, `lengths`."""
 OF_SKILLS = (
     "way",
@@ -105,7 +107,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Body that it was trained with."""
     observations: tuple[str, ...]
     picture_size: tuple[int, int] | None
-    """Width and height of ``arm_depth`` and of the detector's picture [pixels]."""
+    """Width and height of the picture and of the detector's [pixels]."""
     hold: int
     """Steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"
@@ -157,9 +159,9 @@ class PicturedNetwork:
         return self.card.actions
 
     @property
-    def sees(self) -> bool:
-        """Whether it is shown ``arm_depth``."""
-        return "arm_depth" in self.card.observations
+    def sees(self) -> str | None:
+        """Which of `PICTURES` it is shown."""
+        return picture_in(self.card.observations)
 
     @cached_property
     def digest(self) -> str:
@@ -180,7 +182,7 @@ class PicturedNetwork:
             InputError: an observation is missing or has another shape.
         """
         numbers = self._numbers(shown, last)
-        x = np.concatenate([self._picture(shown["arm_depth"]), numbers]) if self.sees else numbers
+        x = np.concatenate([self._features(self._picture(shown)), numbers]) if self.sees else numbers
         given, kept = self._layer("gru", x, "_ih"), self._layer("gru", state, "_hh")
         (r, z, n), (kr, kz, kn) = np.split(given, 3), np.split(kept, 3)
         reset, update = _sigmoid(r + kr), _sigmoid(z + kz)
@@ -200,9 +202,9 @@ class PicturedNetwork:
         """Of all arrays, by name, with the widths that those at hand have."""
         shapes: dict[str, tuple[int, ...]] = {}
         features = 0
-        if "arm_depth" in card.observations:
+        if picture := picture_in(card.observations):
             assert card.picture_size is not None
-            last = PATCH * PATCH
+            last = PICTURES[picture] * PATCH * PATCH
             for k in range(len(STRIDES)):
                 out = _rows(arrays, f"conv_{k}.weight")
                 shapes |= {f"conv_{k}.weight": (out, last, 3, 3), f"conv_{k}.bias": (out,)}
@@ -234,7 +236,7 @@ class PicturedNetwork:
     def _numbers(self, shown: Mapping[str, NDArray[Any]], last: Floats) -> Floats:
         parts = []
         for name in self.observations:
-            if name == "arm_depth":
+            if name in PICTURES:
                 continue
             encode, (length, _) = ENCODINGS[name][0], lengths(name, self.card.actions)
             if name not in shown or np.shape(shown[name]) != (length,):
@@ -243,15 +245,24 @@ class PicturedNetwork:
             parts.append(encode(shown[name]))
         return np.concatenate([*parts, last]).astype(np.float32)
 
-    def _picture(self, depth: NDArray[Any]) -> Floats:
+    def _picture(self, shown: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+        """The picture [H, W, planes] among the observations, where it is as in training."""
+        name = self.sees
+        assert name
         assert self.card.picture_size
-        width, height = self.card.picture_size
-        if depth.shape != (height, width, 1):
-            raise InputError(f"Expected arm_depth [{height}, {width}, 1], got {list(depth.shape)}.")
-        # near things in more detail; float16 as the device keeps pictures of whole rollouts
-        near = np.sqrt(depth[..., 0].astype(np.float32)).astype(np.float16).astype(np.float32)
-        x = near.reshape(height // PATCH, PATCH, width // PATCH, PATCH).transpose(1, 3, 0, 2)
-        x = x.reshape(PATCH * PATCH, height // PATCH, width // PATCH)
+        expected = (*self.card.picture_size[::-1], PICTURES[name])
+        if name not in shown or shown[name].shape != expected:
+            got = list(shown[name].shape) if name in shown else "none"
+            raise InputError(f"Expected {name} {list(expected)}, got {got}.")
+        return shown[name]
+
+    def _features(self, picture: NDArray[Any]) -> Floats:
+        height, width, planes = picture.shape
+        # depth: near things in more detail; float16 as the device keeps pictures of whole rollouts
+        seen = np.sqrt(picture.astype(np.float32)) if planes == 1 else picture.astype(np.float32) / np.float32(255)
+        seen = seen.astype(np.float16).astype(np.float32)
+        x = seen.reshape(height // PATCH, PATCH, width // PATCH, PATCH, planes).transpose(4, 1, 3, 0, 2)
+        x = x.reshape(planes * PATCH * PATCH, height // PATCH, width // PATCH)
         for k, stride in enumerate(STRIDES):
             seen, shape = _windows(x, stride)
             x = np.maximum(self._layer(f"conv_{k}", seen), 0).T.reshape(-1, *shape)
@@ -284,6 +295,11 @@ def affine(x: Floats, columns: Floats, bias: Floats) -> Floats:
     return out
 
 
+def picture_in(observations: tuple[str, ...]) -> str | None:
+    """Which of `PICTURES` is among observations, if one is."""
+    return next((name for name in observations if name in PICTURES), None)
+
+
 def lengths(name: str, actions: int) -> tuple[int, int]:
     """Numbers of an observation, and of its encoding, where an action has so many numbers."""
     if name == "arm_joints":
@@ -294,7 +310,7 @@ def lengths(name: str, actions: int) -> tuple[int, int]:
 
 def number_count(observations: tuple[str, ...], actions: int = BASE_ACTIONS) -> int:
     """Length of the encoded numbers and of the last action."""
-    return sum(lengths(name, actions)[1] for name in observations if name != "arm_depth") + actions
+    return sum(lengths(name, actions)[1] for name in observations if name not in PICTURES) + actions
 
 
 def picture_length(size: tuple[int, int]) -> int:
@@ -309,16 +325,19 @@ def _faults(kind: type[PicturedNetwork], card: PolicyCard, arrays: Mapping[str, 
     """Everything that does not fit together, in words."""
     if card.network != kind.kind:
         return [f"unknown network {card.network!r}, expected {kind.kind}"]
-    strangers = [n for n in card.observations if n != "arm_depth" and n not in ENCODINGS]
+    known = (*PICTURES, *ENCODINGS)
+    strangers = [n for n in card.observations if n not in known]
     if strangers:
-        return [f"unknown observations {', '.join(strangers)}, there are arm_depth, {', '.join(ENCODINGS)}"]
+        return [f"unknown observations {', '.join(strangers)}, there are {', '.join(known)}"]
     if not card.observations or len(set(card.observations)) != len(card.observations):
         return ["expected some observations, each once"]
+    if set(PICTURES) <= set(card.observations):
+        return [f"expected one picture, not {' and '.join(PICTURES)}"]
     if not BASE_ACTIONS <= card.actions <= 32:
         return [f"an action has {card.actions} numbers, expected {BASE_ACTIONS} to 32"]
     if not 1 <= card.hold <= 30:
         return [f"actions are held for {card.hold} steps, expected 1 to 30"]
-    if {"arm_depth", "humanoid_detector"} & set(card.observations):
+    if {*PICTURES, "humanoid_detector"} & set(card.observations):
         fault = "a width and a height" if card.picture_size is None else kind.size_fault(card.picture_size)
         if fault:
             return [f"the picture size is {card.picture_size}, expected {fault}"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -28,8 +28,8 @@ from sim_kinematic.torch.state import HumanTensors, RobotTensors
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-View = Literal["robot", "human"]
-"""Whose eyes: a named camera of the robot, or between those of the person."""
+HUMAN = "human"
+"""The view between a person's eyes; others have the names of the robot's cameras."""
 NEAREST_M = 0.6
 """One mesh has to do for all worlds; nearer than this to a camera a person seldom is."""
 
@@ -39,22 +39,23 @@ class TensorCameras:
 
     def __init__(
         self, scenes: Scene | Sequence[Scene], robot: Robot, human: Humanoid, walker: WalkerSpec, *, worlds: int,
-        floor_y: float = 0.0, views: Sequence[View] = ("robot",), camera: str = "robot_arm",
-        size: tuple[int, int] | None = None, hfov_deg: float | None = None, device: torch.device | str = "cuda",
+        floor_y: float = 0.0, views: Sequence[str] = ("robot_arm",), size: tuple[int, int] | None = None,
+        hfov_deg: float | None = None, device: torch.device | str = "cuda",
         compile: bool = False, renderer: Callable[..., GpuRenderer] | None = None,
     ) -> None:  # fmt: skip
         """
         Args:
             scenes: The home that all worlds share, or those that `observe` chooses from.
             robot: Keeps its resting posture.
-            human: Is drawn with the full mesh or, in pictures so small that it shows no more from `NEAREST_M`, with the light one.
+            human: Is drawn with the full mesh or, where pictures are so small that one sees no difference from `NEAREST_M`,
+                with the light one.
             walker: Which clip the person plays.
             worlds: W.
             floor_y: Height of the floor [m].
-            views: Whose pictures are taken in every world.
-            camera: Which of the robot's.
-            size: Width and height [pixels] of all pictures; None is that of the robot's camera.
-            hfov_deg: Field of view of the robot's camera instead of its own.
+            views: What takes pictures in every world: cameras of the robot (``robot_arm_rgb`` is ``robot_arm`` where it has no
+                other), and `HUMAN`.
+            size: Width and height [pixels] of all pictures; None is that of the first of the robot's cameras.
+            hfov_deg: Field of view of the robot's cameras instead of their own.
             device: The GPU.
             compile: Whether the frames of links and joints come from one kernel (`sim_kinematic.torch.graph.fused`).
             renderer: What makes the renderer, if not `GpuRenderer`.
@@ -65,32 +66,41 @@ class TensorCameras:
         if not views:
             raise InputError("Expected at least one view.")
         self.worlds, self.views, self._floor_y = worlds, tuple(views), floor_y
-        mounted = robot.camera(camera)
-        width, height = size or (mounted.width, mounted.height)
-        self.share = width * height / (mounted.width * mounted.height)
-        """Pixels of a picture over those of the robot's own camera."""
-        homes = [scenes] if isinstance(scenes, Scene) else list(scenes)
-        lenses = {
-            "robot": pinhole(width, height, hfov_deg=hfov_deg or mounted.hfov_deg, name=camera),
-            "human": pinhole(width, height, hfov_deg=HEAD_HFOV_DEG, name="human_head", near=HEAD_NEAR_M),
+        names = [camera.name for camera in robot.cameras]
+        mounted = {
+            view: robot.camera(view if view in names else view.removesuffix("_rgb"))
+            for view in self.views
+            if view != HUMAN
         }
-        focal = max(lenses[view].fx for view in self.views)
+        first = next(iter(mounted.values()), robot.cameras[0])
+        width, height = size or (first.width, first.height)
+        self.share = width * height / (first.width * first.height)
+        """Pixels of a picture over those of the first camera itself."""
+        homes = [scenes] if isinstance(scenes, Scene) else list(scenes)
+        self._lenses = {
+            view: pinhole(width, height, hfov_deg=hfov_deg or camera.hfov_deg, name=view)
+            for view, camera in mounted.items()
+        }
+        if HUMAN in self.views:
+            self._lenses[HUMAN] = pinhole(width, height, hfov_deg=HEAD_HFOV_DEG, name="human_head", near=HEAD_NEAR_M)
+        focal = max(lens.fx for lens in self._lenses.values())
         stages = [_stage(home, robot, human, light=human.light_enough(focal, NEAREST_M)) for home in homes]
         links = [k for k, link in enumerate(robot.links) if link.mesh is not None]
         self.renderer = (renderer or GpuRenderer)(stages, width=width, height=height, worlds=worlds, device=device)
-        self._cameras = [lenses[view] for view in self.views for _ in range(worlds)]
-        self._world_of_view = list(range(worlds)) * len(self.views)
+        self._eyes: dict[str, Tensor] = {}
+        """Poses of the cameras as last posed, [W, 3, 4] each."""
 
         def on_device(matrices: Any) -> Tensor:
             rows = np.asarray(matrices, np.float64)[..., :3, :]
             return torch.as_tensor(rows, dtype=torch.float32, device=self.renderer.device)
 
         rest = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
-        self._robot = on_device([*(rest[n] for n in links), rest[mounted.link] @ mounted.pose])
+        eyes = [rest[camera.link] @ camera.pose for camera in mounted.values()]
+        self._robot, self._links = on_device([*(rest[n] for n in links), *eyes]), len(links)
         self._cycle = WalkingCycle.of(human, walker)
         joints = self._cycle.joint_matrices()
-        eyes = joints[:, human.joint_names.index("head")] @ HEAD_POSE
-        self._person = on_device(np.concatenate([joints, eyes[:, None]], 1))
+        head = joints[:, human.joint_names.index("head")] @ HEAD_POSE
+        self._person = on_device(np.concatenate([joints, head[:, None]], 1))
         self._frames = fused(self._frames_of) if compile else self._frames_of
 
     def observe(
@@ -101,24 +111,37 @@ class TensorCameras:
         *,
         place: Tensor | None = None,
     ) -> dict[str, Tensor]:
-        """Pictures of all views of all worlds, by output, each [views, W, H, W', ...] on the device; depth in metres.
+        """`pose`, then `picture` of all views, each [views, W, H, W', ...]."""
+        self.pose(robot, human, place=place)
+        return self._taken(self.views, outputs)
+
+    def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
+        """Puts the robot and the person of all worlds where they are.
 
         ``place`` is the number of the home that each world is in, [W]; None leaves it as it was.
         """
         if place is not None:  # the kernels read it from the device in every launch, a replayed graph's included
             self.renderer._held["scene_of_world"].copy_(place)
         parts, joints = self._frames(robot, human)
-        self.renderer.update_poses(parts[:, :-1])
+        self.renderer.update_poses(parts[:, : self._links])
         self.renderer.update_joints(joints[:, :-1])
-        eyes = {"robot": parts[:, -1], "human": joints[:, -1]}
+        robots = [view for view in self.views if view != HUMAN]
+        self._eyes = {view: parts[:, self._links + k] for k, view in enumerate(robots)} | {HUMAN: joints[:, -1]}
+
+    def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
+        """Pictures of a view in all worlds as last posed, by output, each [W, H, W', ...] on the device; depth in metres."""
+        return {name: t[0] for name, t in self._taken((view,), outputs).items()}
+
+    def _taken(self, views: Sequence[str], outputs: Sequence[Output]) -> dict[str, Tensor]:
         pictures = self.renderer.render(
-            self._cameras, worlds=self._world_of_view, outputs=outputs,
-            poses=torch.cat([eyes[view] for view in self.views]),
+            [self._lenses[view] for view in views for _ in range(self.worlds)],
+            worlds=list(range(self.worlds)) * len(views), outputs=outputs,
+            poses=torch.cat([self._eyes[view] for view in views]),
         )  # fmt: skip
-        return {name: t.unflatten(0, (len(self.views), self.worlds)) for name, t in pictures.items()}
+        return {name: t.unflatten(0, (len(views), self.worlds)) for name, t in pictures.items()}
 
     def _frames_of(self, robot: RobotTensors, human: HumanTensors) -> tuple[Tensor, Tensor]:
-        """World matrices of the robot's links and camera [W, N + 1, 3, 4], of the person's joints and eyes [W, 56, 3, 4]."""
+        """World matrices of the robot's links and cameras [W, N + C, 3, 4], of the person's joints and eyes [W, 56, 3, 4]."""
         parts = in_world(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
         posture = self._cycle.look_up(self._person, HumanTensors(*(t.float() for t in human)))
         return parts, in_world(posture, human.xz.float(), human.heading.float(), self._floor_y)

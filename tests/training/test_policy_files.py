@@ -17,6 +17,7 @@ from h3data.errors import FormatError, InputError
 from h3data_pipelines.cli import main
 from h3data_training.episodes import make_bank, rules
 from h3data_training.networks import ActorCritic, actor_numbers, picture
+from h3data_training.settings import Settings
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import pictured
@@ -31,32 +32,39 @@ from tests.training.runs import SMALL, small
 PICTURED = small(picture_size=(32, 24))
 
 
-def untrained(**card: Any) -> PicturedNetwork:
+def untrained(settings: Settings = PICTURED, **card: Any) -> PicturedNetwork:
     """Random weights that drive about."""
     torch.manual_seed(3)
-    net = ActorCritic(PICTURED)
+    net = ActorCritic(settings)
     with torch.no_grad():
         net.act[-1].weight.mul_(60)  # type: ignore[operator]
-    about = {"task": "social_nav", "robot": "quad_arm", "observations": PICTURED.observations, "hold": 3, **card}
+    about = {"task": "social_nav", "robot": "quad_arm", "observations": settings.observations, "hold": 3, **card}
     return PicturedNetwork(card=PolicyCard(**{"picture_size": (32, 24), **about}), arrays=net.arrays())
 
 
-def test_it_gives_what_pytorch_gives() -> None:
+def colored(settings: Settings) -> Settings:
+    return replace(settings, observations=("arm_rgb", "humanoid_detector", "humanoid_gps"))
+
+
+@pytest.mark.parametrize("settings", [PICTURED, colored(PICTURED)], ids=["depth", "rgb"])
+def test_it_gives_what_pytorch_gives(settings: Settings) -> None:
     torch.manual_seed(1)
-    net = ActorCritic(PICTURED)
-    network = replace(untrained(), arrays=net.arrays())
+    net = ActorCritic(settings)
+    network = untrained(settings)
+    network = replace(network, arrays=net.arrays())
     rng = np.random.default_rng(0)
     state, last, kept = torch.zeros(1, 8), torch.zeros(1, 2), network.start()
     for _ in range(20):
         shown = {
             "arm_depth": rng.uniform(0, 1, (24, 32, 1)).astype(np.float32),
+            "arm_rgb": rng.integers(0, 256, (24, 32, 3)).astype(np.uint8),
             "humanoid_detector": rng.integers(0, 2, 1).astype(np.float32),
             "humanoid_gps": np.array([rng.uniform(0, 9), rng.uniform(-3, 3)]),
         }
         batch = {n: torch.as_tensor(v, dtype=torch.float32)[None] for n, v in shown.items()}
         with torch.no_grad():
-            numbers = actor_numbers(batch, last, PICTURED.observations)
-            mean, state = net.step(picture(batch["arm_depth"]), numbers, state)
+            numbers = actor_numbers(batch, last, settings.observations)
+            mean, state = net.step(picture(batch[settings.observations[0]]), numbers, state)
         out, kept = network(shown, last[0].numpy(), kept)
         np.testing.assert_allclose(out, mean[0].numpy(), atol=2e-6)
         np.testing.assert_allclose(kept, state[0].numpy(), atol=2e-6)
@@ -101,14 +109,16 @@ class Watched(PicturedNavigation):
         return velocity
 
 
-def test_device_and_simulator_show_the_same() -> None:
+@pytest.mark.parametrize("seen", ["arm_depth", "arm_rgb"])
+def test_device_and_simulator_show_the_same(seen: str) -> None:
     settings = replace(PICTURED, worlds=1, minibatches=1, episodes_per_home=1)
+    settings = settings if seen == "arm_depth" else colored(settings)
     bank = make_bank(settings, seed=4, workers=1)
     spec = replace(rules(settings), max_steps=36)
     task = SocialNav()
     source = EpisodeSource(task, [bank.scenes[0]], spec=spec)
     episode = task.sample(bank.scenes[0], bank.floors[0], int(bank.seeds[0]), spec, source.roster)
-    watched = Watched(untrained())
+    watched = Watched(untrained(settings))
     run(task.play(episode, task.assign(episode, {"robot": watched}), measure=False))
     worlds = HeldWorlds(settings, bank, device="cpu", compile=False, hold=1)
     shown, _ = worlds.reset(seed=0)
@@ -116,7 +126,8 @@ def test_device_and_simulator_show_the_same() -> None:
     for exact, action in watched.rows:
         np.testing.assert_allclose(shown["humanoid_gps"][0].numpy(), exact["humanoid_gps"], atol=2e-3)
         np.testing.assert_array_equal(shown["humanoid_detector"][0].numpy(), exact["humanoid_detector"])
-        pixels += (np.abs(shown["arm_depth"][0].numpy() - exact["arm_depth"]) > 0.01).mean()
+        scale = 1 if seen == "arm_depth" else 255
+        pixels += (np.abs(shown[seen][0].numpy() / scale - exact[seen] / scale) > 0.01).mean()
         shown = worlds.held(torch.tensor([action]))[0]
     actions = {action for _, action in watched.rows}
     assert len(watched.rows) == 36

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 _SHARED_LIMIT = 227 * 1024
 """Shared memory per block on Hopper [bytes]; other devices have less, and the launch fails."""
+_VIEWS_KEPT = 4
 _MAX_PIXELS = 2**31 - 1
 """Pixels per launch: the kernels count them in 32 bits."""
 
@@ -85,7 +86,8 @@ class GpuRenderer:
         self._items = int(self.packed.scenes["items"].max())
         self._programs: dict[Variant, Any] = {}
         self.variant = choose_variant(self.worlds, self.width, self.height)
-        self._views: Views | None = None
+        self._views: dict[tuple[Any, ...], Views] = {}
+        """Of the last `_VIEWS_KEPT` renderings that differ in worlds or lenses, on the device."""
         self._upload()
         self._reset()
 
@@ -299,9 +301,9 @@ class GpuRenderer:
             (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.hidden_layers, *depth_range(c)) for c in cameras
         )
         key = (world_of_view, intrinsics)
-        views = self._views
-        if poses is None or views is None or views.key != key:
-            views = self._views = new_views(
+        views = None if poses is None else self._views.pop(key, None)
+        if views is None:
+            views = new_views(
                 key,
                 cameras,
                 worlds=self.worlds,
@@ -310,6 +312,9 @@ class GpuRenderer:
                 slots=self.packed.slots,
                 device=self.device,
             )
+        self._views[key] = views
+        while len(self._views) > _VIEWS_KEPT:
+            del self._views[next(iter(self._views))]
         if poses is not None:
             given = self._floats(poses, "poses", 3)
             if given.shape not in ((views.count, 4, 4), (views.count, 3, 4)):
@@ -399,7 +404,7 @@ class GpuRenderer:
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.device(self.device), torch.cuda.graph(graph):
             results = step()
-        references = results, self._views  # keeps the tensors alive: the graph itself holds addresses only
+        references = results, dict(self._views)  # keeps the tensors alive: the graph itself holds addresses only
 
         def replay() -> dict[str, torch.Tensor]:
             graph.replay()

@@ -80,7 +80,8 @@ class Evaluate:
     """Length limit of an episode (default: 1500)."""
     skills: str = ""
     """rearrange and skill: learned skills of robots: learned (those that come with the package), a folder of training runs, or
-    policy files of h3data train skill, separated by commas (default: none in rearrange, learned for skill)."""
+    policy files of h3data train skill, separated by commas (default: none in rearrange, learned for skill). In rearrange also
+    oracle, as of h3data generate."""
     workers: int = 1
     """Processes."""
     executor: ExecutorOption = "local"

@@ -6,7 +6,7 @@ import json as json_module
 import math
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,7 +44,7 @@ from h3data_pipelines.jobs.episode_files import (
     save_episodes,
     widest_episode,
 )
-from h3data_pipelines.jobs.episodes import Choices, Job, refuse_beside, skill_rules
+from h3data_pipelines.jobs.episodes import Choices, Job, refuse_beside, with_skills
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import Filmed, Filming, film_jobs
@@ -139,7 +139,8 @@ class Generate:
     decide it."""
     skills: str | None = None
     """rearrange: learned skills for the robots instead of those that know all: learned (those that come with the package), a
-    folder of training runs, or policy files of h3data train skill, separated by commas."""
+    folder of training runs, or policy files of h3data train skill, separated by commas; or oracle: simple rules that a GPU
+    plays too, with the paper's people, where nobody gives way to anybody."""
     rule: tuple[str, ...] = ()
     """Another rule of the task, as NAME=VALUE, for example --rule objects=3 (repeatable)."""
     camera: tuple[str, ...] = ()
@@ -299,8 +300,7 @@ class Generate:
             spawn_distance=self.spawn_distance,
             rules=tuple(map(_rule, self.rule)),
         )
-        if self.skills is not None:
-            choices = replace(choices, rules=(*choices.rules, *skill_rules(choices.found_task, self.skills)))
+        choices = with_skills(choices, self.skills or "")
         in_set = self.episodes_file is None and find_scene_set(self.scenes.partition("#")[0]) is not None
         if in_set and choices.found_task.name == "social_nav":
             refuse_beside(f"--scenes {self.scenes}", spawn_distance=self.spawn_distance is not None)

@@ -128,6 +128,10 @@ class Job:
 
 
 # --- where they come from ---------------------------------------------------------------------------------------------
+ORACLE = "oracle"
+"""Skills under rules so simple that a GPU plays them too."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Choices:
     """What the user asks for; None leaves it to the episode, or to the task."""
@@ -146,6 +150,8 @@ class Choices:
     spawn_distance: float | None = None
     rules: tuple[tuple[str, Any], ...] = ()
     """Further fields of the task's rules, by name."""
+    oracle: bool = False
+    """Oracle skills in rearrangement (`sim_kinematic.tasks.rearrange.episode.ORACLE_RULES`)."""
 
     @cached_property
     def found_task(self) -> Task:
@@ -159,6 +165,10 @@ class Choices:
         from sim_kinematic.tasks.episode import with_options
 
         base = self.found_task.default_spec() if base is None else base
+        if self.oracle:
+            from sim_kinematic.tasks.rearrange.episode import with_oracle_skills
+
+            base = with_oracle_skills(base)
         return with_options(
             base,
             human_walk=self.human_walk,
@@ -211,8 +221,8 @@ class Choices:
         return with_motion(agents, motion) if motion and agents is not None else agents
 
 
-def skill_rules(task: Task, skills: str | None) -> tuple[tuple[str, Any], ...]:
-    """The rule that names learned skills, if there are any.
+def with_skills(choices: Choices, skills: str) -> Choices:
+    """The same with learned skills, or `ORACLE` ones; with none where ``skills`` is empty.
 
     Raises:
         InputError: the task has no skills, or there are no such files.
@@ -220,10 +230,14 @@ def skill_rules(task: Task, skills: str | None) -> tuple[tuple[str, Any], ...]:
     from sim_kinematic.policies.skills.names import recorded_skills
 
     if not skills:
-        return ()
-    if not hasattr(task.default_spec(), "skills"):
-        raise InputError(f"--skills is for rearrange, not for {task.name}.")
-    return (("skills", recorded_skills(skills)),)
+        return choices
+    if not hasattr(choices.found_task.default_spec(), "skills"):
+        raise InputError(f"--skills is for rearrange, not for {choices.task}.")
+    if skills == ORACLE:
+        if choices.human_walk is not None or choices.human_speed is not None:
+            raise InputError("--skills oracle has the paper's people: no --human-walk or --human-speed.")
+        return replace(choices, oracle=True)
+    return replace(choices, rules=(*choices.rules, ("skills", recorded_skills(skills))))
 
 
 @dataclass(frozen=True)

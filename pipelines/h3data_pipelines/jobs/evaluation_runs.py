@@ -16,7 +16,7 @@ from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.jobs.episode_files import FileJobs, notes_on, requested_jobs
-from h3data_pipelines.jobs.episodes import Choices, skill_rules
+from h3data_pipelines.jobs.episodes import Choices, with_skills
 from h3data_pipelines.jobs.evaluations import (
     ALL,
     Evaluation,
@@ -59,7 +59,8 @@ class EvaluationRequest:
     human_speed: float | None = None
     max_steps: int | None = None
     skills: str = ""
-    """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`); empty: none."""
+    """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``; empty:
+    those that know all."""
 
     def jobs(self) -> list[Evaluation]:
         """All episodes, or an `InputError` that names the bad option."""
@@ -86,8 +87,8 @@ class EvaluationRequest:
         choices = Choices(
             task=self.task, policy=policies[0], partner=partners[0] if partners else None, human=self.human,
             motion=self.motion, human_walk=self.human_walk, human_speed=self.human_speed, max_steps=self.max_steps,
-            rules=skill_rules(task, self.skills),
         )  # fmt: skip
+        choices = with_skills(choices, self.skills)
         for kind, names in (("robot", policies), ("human", partners)):
             for name in names:
                 task.check_policy(kind, name, choices.spec())

@@ -88,9 +88,9 @@ class Train:
     """Homes to learn in, as of h3data generate (default: h3-homes/train)."""
     observations: str | None = None
     """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
-    humanoid_gps,range_scan); there are also egomotion, humanoid_velocity, way and range_scan. Skills: arm_depth,
-    target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor, resting_sensor, arm_joints and
-    is_holding (default: with fast arm_depth and what no map tells, else all but arm_depth)."""
+    humanoid_gps,range_scan); there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, way and
+    range_scan. Skills: arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor,
+    resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else all but arm_depth)."""
     worlds: int | None = None
     """Worlds that are stepped at once. rearrange: episodes of an update, with oracle skills and the paper's people, on --device
     (default: none; episodes have our full rules and are played by --workers)."""
@@ -220,8 +220,10 @@ def _first(name: str) -> PicturedNetwork:
 
 def _cost(settings: Settings) -> dict[str, int]:
     """Sizes that decide whether a run fits on a machine [bytes]."""
+    from sim_kinematic.policies.pictured import PICTURES
+
     s = settings
-    pixels = s.picture_size[0] * s.picture_size[1] * ("arm_depth" in s.observations)
+    pixels = s.picture_size[0] * s.picture_size[1] * sum(PICTURES.get(name, 0) for name in s.observations)
     # of the recurrent state; of weights with their moments
     state, weights = (4 * s.hidden, 110 << 20) if s.network == "resnet18_lstm" else (s.hidden, 20 << 20)
     return {

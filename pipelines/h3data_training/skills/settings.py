@@ -57,6 +57,10 @@ class SkillSettings(Settings):
         return f"skill_{self.skill}"
 
     @property
+    def pictures(self) -> tuple[str, ...]:
+        return ("arm_depth",)
+
+    @property
     def told(self) -> tuple[str, ...]:
         return OF_SKILLS
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from h3data.errors import InputError
-from sim_kinematic.policies.pictured import Floats, PicturedNetwork, PolicyCard, number_count
+from sim_kinematic.policies.pictured import PICTURES, Floats, PicturedNetwork, PolicyCard, number_count, picture_in
 
 KIND = "resnet18_lstm"
 GROUPS = 16
@@ -48,12 +47,12 @@ class _Block(nn.Module):
 
 
 class ResNet18(nn.Module):
-    """Pictures [n, 1, H, W] -> features [n, F]."""
+    """Pictures [n, 1 or 3, H, W] -> features [n, F]."""
 
-    def __init__(self, size: tuple[int, int], *, planes: int, features: int) -> None:
-        """``size`` is width and height [pixels]; ``planes`` those of the first stage."""
+    def __init__(self, size: tuple[int, int], *, given: int, planes: int, features: int) -> None:
+        """``size`` is width and height [pixels]; ``given`` are the planes of a picture, ``planes`` those of the first stage."""
         super().__init__()
-        self.first = nn.Conv2d(1, planes, 7, 2, 3, bias=False)
+        self.first = nn.Conv2d(given, planes, 7, 2, 3, bias=False)
         self.norm = nn.GroupNorm(GROUPS, planes)
         widths = [planes, planes, 2 * planes, 4 * planes, 8 * planes]
         self.blocks = nn.ModuleList(
@@ -86,17 +85,18 @@ class ResNetLSTM(nn.Module):
     """The actor. Its state [n, S] is what all layers of the LSTM hold, one after the other."""
 
     def __init__(
-        self, numbers: int, *, size: tuple[int, int] | None, planes: int = 32, features: int = 512, hidden: int = 512
-    ) -> None:
-        """``size`` of pictures; None where there are none."""
+        self, numbers: int, *, size: tuple[int, int] | None, given: int = 1, planes: int = 32, features: int = 512,
+        hidden: int = 512,
+    ) -> None:  # fmt: skip
+        """``size`` of pictures, None where there are none; ``given`` their planes."""
         super().__init__()
-        self.visual = None if size is None else ResNet18(size, planes=planes, features=features)
+        self.visual = None if size is None else ResNet18(size, given=given, planes=planes, features=features)
         self.lstm = nn.LSTM((0 if size is None else features) + numbers, hidden, LAYERS)
         self.act = nn.Linear(hidden, 2)
         self.state_length = 2 * LAYERS * hidden
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """What goes into the recurrent layers, [n, F], of pictures [n, 1, H, W] and numbers [n, N]."""
+        """What goes into the recurrent layers, [n, F], of pictures [n, planes, H, W] and numbers [n, N]."""
         if self.visual is None or pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
@@ -116,6 +116,13 @@ class ResNetLSTM(nn.Module):
                 tensor.copy_(torch.as_tensor(arrays[name]))
 
 
+def pixels_of(picture: Tensor) -> Tensor:
+    """Depth or uint8 colours [n, H, W, planes] as the network is given them, [n, planes, H, W]: half precision, in which a
+    device keeps the pictures of whole rollouts."""
+    seen = picture.float() if picture.shape[-1] == 1 else picture.float() / 255
+    return seen.permute(0, 3, 1, 2).half()
+
+
 class ResNetPolicy(PicturedNetwork):
     """The policy in a file whose card names this network, evaluated by PyTorch in one thread."""
 
@@ -128,19 +135,11 @@ class ResNetPolicy(PicturedNetwork):
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
         """As of `PicturedNetwork`."""
         numbers = torch.as_tensor(self._numbers(shown, last))[None]
-        pixels = self._depth(shown["arm_depth"]) if self.sees else None
+        pixels = pixels_of(torch.as_tensor(np.ascontiguousarray(self._picture(shown)))[None]) if self.sees else None
         with torch.no_grad(), one_thread():
             x = self._net.features(pixels, numbers)
             out, after = self._net.remember(x[None], torch.as_tensor(state)[None])
             return self._net.act(out[0, 0]).numpy(), after[0].numpy()
-
-    def _depth(self, depth: NDArray[Any]) -> Tensor:
-        assert self.card.picture_size
-        width, height = self.card.picture_size
-        if depth.shape != (height, width, 1):
-            raise InputError(f"Expected arm_depth [{height}, {width}, 1], got {list(depth.shape)}.")
-        # float16 as the device keeps pictures of whole rollouts
-        return torch.as_tensor(np.ascontiguousarray(depth[..., 0], np.float32))[None, None].half()
 
     @cached_property
     def _net(self) -> ResNetLSTM:
@@ -167,11 +166,11 @@ def _net(card: PolicyCard, arrays: Mapping[str, Floats]) -> ResNetLSTM:
     def rows(name: str, other: int) -> int:
         return arrays[name].shape[0] if name in arrays and arrays[name].ndim else other
 
-    sees = "arm_depth" in card.observations
+    sees = picture_in(card.observations)
     planes = max(rows("visual.first.weight", GROUPS) // GROUPS, 1) * GROUPS
     return ResNetLSTM(
-        number_count(card.observations), size=card.picture_size if sees else None, planes=planes,
-        features=max(rows("visual.out.weight", 1), 1), hidden=max(rows("lstm.weight_hh_l0", 4) // 4, 1),
+        number_count(card.observations), size=card.picture_size if sees else None, given=PICTURES[sees or "arm_depth"],
+        planes=planes, features=max(rows("visual.out.weight", 1), 1), hidden=max(rows("lstm.weight_hh_l0", 4) // 4, 1),
     )  # fmt: skip
 
 

@@ -133,6 +133,12 @@ ORACLE_RULES = RearrangeSpec(
 """The paper's robot and person with oracle skills: what `h3data.make("rearrange", device=...)` plays."""
 
 
+def with_oracle_skills(spec: RearrangeSpec) -> RearrangeSpec:
+    """The same rules but for those that `ORACLE_RULES` is about."""
+    fields = ("max_steps", "robot", "human", "arm_rad_s", "people_give_way", "oracle")
+    return replace(spec, **{name: getattr(ORACLE_RULES, name) for name in fields})
+
+
 def rules_in(scene: Scene, spec: RearrangeSpec) -> RearrangeSpec:
     """The rules of an episode that is sampled in a home now: its floor moves if something there opens."""
     return replace(spec, floor_moves=bool(scene.articulations))
