@@ -164,10 +164,13 @@ def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.Captu
         assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("observations", [OF_THE_ARM, ("target_sensor", "arm_joints")])
 @pytest.mark.parametrize("skill", ["nav", "pick", "place"])
-def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str) -> None:
+def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str, observations: tuple[str, ...]) -> None:
+    """Those who are told the way to the stand, and those who are not."""
     own = replace(bank, holds=np.full(len(bank), skill == "place"))
-    worlds = HeldSkills(replace(SMALL, skill=skill, near_share=0.0), own, device="cpu")  # type: ignore[arg-type]
+    settings = replace(SMALL, skill=skill, near_share=0.0, observations=observations)  # type: ignore[arg-type]
+    worlds = HeldSkills(settings, own, device="cpu")
     worlds.reset(seed=[0, 1, 2, 3])
     for _ in range(80):
         action = worlds.taught()

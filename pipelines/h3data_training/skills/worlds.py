@@ -33,7 +33,7 @@ class HeldSkills(HeldSteps):
     ) -> None:  # fmt: skip
         """``count`` worlds, by default those of the settings; of several processes, each has its share of them."""
         self.hold, self.num_envs, self.device = hold or settings.hold, count or settings.worlds, torch.device(device)
-        self.limit = settings.limit
+        self.limit, self._by_sight = settings.limit, "way" not in settings.observations
         starts = bank.with_near(settings.near_share)
         self.sim = SkillTensors(settings.skill, starts, device=device, dtype=torch.float32, robot=settings.robot)
         told = dict.fromkeys((*settings.observations, *settings.critic))
@@ -114,7 +114,7 @@ class HeldSkills(HeldSteps):
     def taught(self) -> Tensor:
         """As of `h3data_training.ppo.Worlds`."""
         with torch.no_grad():
-            return taught(self.sim, self.play, self.hold)
+            return taught(self.sim, self.play, self.hold, by_sight=self._by_sight)
 
     def _result(self) -> dict[str, Tensor]:
         return {name: tensor.clone() for name, tensor in self._shown.items()}

@@ -21,14 +21,21 @@ REACHES_M = 0.3
 """So near to the stand the arm sets off."""
 ALIGNED_RAD = 0.6
 """It drives on when turned so nearly along the path, and turns on the spot else."""
+IN_REACH_M, AROUND_M = 0.2, 2.0
+"""To a robot that is not told where its stand is, it shows reaching wherever the target is as far away as from there, within this,
+and the stand not farther than that by the path, which is around the target and not behind a wall."""
 PUTS_M = 0.1
 """It lets go so near to the goal."""
 SURE = 1.5
 """The command of a hand that holds on, far enough from 0 for the noise of exploration."""
 
 
-def taught(sim: SkillTensors, play: SkillPlay, hold: int) -> Tensor:
-    """What the script would do now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand."""
+def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = False) -> Tensor:
+    """What the script would do now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand.
+
+    ``by_sight``: for those who see the target and are not told the way to the stand. Whether they have arrived at the stand itself
+    they cannot know, and one that imitates on average what it cannot tell apart never reaches out at all.
+    """
     robot, base = play.robot, sim.drive.base
     point = sim.points(play)
     turn_most, drive_most = (limit * STEP_S * hold for limit in (base.max_turn_rad_s, base.max_speed_mps))
@@ -45,14 +52,18 @@ def taught(sim: SkillTensors, play: SkillPlay, hold: int) -> Tensor:
         return torch.stack([forward, (turn / turn_most).clamp(-1.0, 1.0)], -1).float()
     posture = sim.reaching(play)
     unfolded = 1.0 - sim.off(play, posture)
-    near = (play.way < ARRIVED_M) | ((unfolded > 0.5) & (play.way < NEARLY_M))
+    left, arrived = play.way, ARRIVED_M
+    if by_sight:
+        off = (torch.hypot(target[:, 0], target[:, 1]) - sim.reach(play)).abs()
+        left, arrived = torch.where(left < AROUND_M, torch.minimum(left, off), left), IN_REACH_M
+    near = (left < arrived) | ((unfolded > 0.5) & (left < NEARLY_M))
     hand = placed(sim.arm.hand(play.joints), robot.xz, robot.heading, sim.floors(play)).point
     reached = seen.in_base_frame(robot.xz, robot.heading, hand[:, 0:3:2])
     short = ((target - reached)[:, 0] / drive_most).clamp(-0.5, 0.5) * (unfolded > 0.8)
     forward, turn = torch.where(near, short, forward), torch.where(near, aside, turn)
     holds = play.held == sim.targets(play)
     finished = holds if sim.skill == "pick" else ~holds
-    reaches = (near | (play.way < REACHES_M)) & ~finished
+    reaches = (near | (left < REACHES_M)) & ~finished
     wanted = torch.where(reaches[:, None], posture, sim.arm.rest)
     joints = (wanted - play.joints) / (sim.arm_rules.joint_step * hold)
     grips = torch.full_like(forward, SURE)

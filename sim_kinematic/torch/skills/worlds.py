@@ -307,6 +307,10 @@ class SkillTensors:
         """Joints of the arm that reach for the targets from their stands, [W, n]."""
         return self._reaching[play.episode]
 
+    def reach(self, play: SkillPlay) -> Tensor:
+        """How far the targets are from their stands, on the floor plane [W] [m]."""
+        return (self._point[play.episode][:, 0:3:2] - self._stand[play.episode]).norm(dim=-1)
+
     def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
         """How far joints are from a posture [n] or [W, n], in parts of the way between rest and reaching, [W]."""
         whole = (self.reaching(play) - self.arm.rest).abs().sum(-1).clamp_min(0.1)
