@@ -22,8 +22,8 @@ REACHES_M = 0.3
 ALIGNED_RAD = 0.6
 """It drives on when turned so nearly along the path, and turns on the spot else."""
 IN_REACH_M, AROUND_M = 0.2, 2.0
-"""To a robot that is not told where its stand is, it shows reaching wherever the target is as far away as from there, within this,
-and the stand not farther than that by the path, which is around the target and not behind a wall."""
+"""By sight it reaches out wherever the target is as far away as from the stand, within this, and the stand itself is not
+farther than that by the path: around the target, and not behind a wall."""
 PUTS_M = 0.1
 """It lets go so near to the goal."""
 SURE = 1.5
@@ -33,8 +33,9 @@ SURE = 1.5
 def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = False) -> Tensor:
     """What the script would do now for ``hold`` steps, [W, A], each number in -1..1 but that of the hand.
 
-    ``by_sight``: for those who see the target and are not told the way to the stand. Whether they have arrived at the stand itself
-    they cannot know, and one that imitates on average what it cannot tell apart never reaches out at all.
+    ``by_sight``: for robots that are not told the path to the stand. They cannot know whether they have arrived there, and
+    what they cannot tell apart they imitate on average, which is never to reach out: none learned to pick in 0.5 M decisions,
+    and by sight 90% of episodes succeeded after 0.14 M.
     """
     robot, base = play.robot, sim.drive.base
     point = sim.points(play)
