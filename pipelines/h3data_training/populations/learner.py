@@ -16,7 +16,7 @@ from h3data_training.populations.networks import Chooser
 from h3data_training.populations.playing import Decisions
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from sim_kinematic.motion.randomness import episode_seed, generator
-from sim_kinematic.policies.choosers.chooser_network import KIND, OBSERVATIONS, ChooserNetwork
+from sim_kinematic.policies.choosers.chooser_network import KIND, ChooserNetwork
 from sim_kinematic.policies.pictured import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
@@ -50,9 +50,11 @@ class ChooserLearner:
 
     def network(self, training: dict | None = None) -> ChooserNetwork:
         """The policy so far."""
+        s = self.settings
         card = PolicyCard(
-            task="rearrange", robot=self.settings.robot, observations=OBSERVATIONS, picture_size=None,
-            hold=self.settings.think_steps, network=KIND, agent=self.agent, objects=self.objects, training=training or {},
+            task="rearrange", robot=s.robot, observations=s.observations_of(self.agent), picture_size=None,
+            hold=s.think_steps, network=KIND, agent=self.agent, objects=self.objects,
+            primitives=self.agent != ROBOT or "primitives" not in s.without, training=training or {},
         )  # fmt: skip
         return ChooserNetwork(card=card, arrays=self.net.arrays())
 

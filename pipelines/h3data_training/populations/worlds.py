@@ -22,6 +22,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
     OBSERVATIONS,
     SKILLS_WITH_OBJECT,
     ChooserNetwork,
+    hides,
     rest_count,
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import CLOSE_STEPS
@@ -145,7 +146,9 @@ class _Chooser:
             rows = [w for w, own in enumerate(names) if own == name]
             network = jobs[rows[0]].networks[name]
             self._parts.append((torch.tensor(rows, device=device), arrays_of(network, device)))
-        self._hold = jobs[0].networks[self.names[0]].card.hold
+        first = jobs[0].networks[self.names[0]]  # learners of one agent differ in their weights only
+        self._hold, self._observations = first.card.hold, first.card.observations
+        self._offered = torch.as_tensor(first.offered, device=device)
         hidden = self._parts[0][1]["gru.weight_hh"].shape[1]
         self._state = torch.zeros(len(names), hidden, device=device)
         self._thought = torch.zeros(len(names), dtype=torch.int64, device=device)
@@ -155,12 +158,13 @@ class _Chooser:
         """Choices [W]; -1 of those that are not asked."""
         view = View.of(self._sim, play, self._agent)
         asked, view = self._asked(view)
-        each, rest = encode(observed(view, OBSERVATIONS), self._agent, self._sim.bank.objects)
+        names = self._observations
+        each, rest = encode(observed(view, names), self._agent, self._sim.bank.objects, observations=names)
         scores, state = torch.zeros(*view.xz.shape[:1], len(view.choices), device=each.device), self._state
         for rows, arrays in self._parts:
             own, after = scored(arrays, each[rows], rest[rows], self._state[rows])
             scores, state = scores.index_copy(0, rows, own), state.index_copy(0, rows, after)
-        may = allowed(view)
+        may = allowed(view) & self._offered
         log_probs = scores.masked_fill(~may, -torch.inf).log_softmax(-1)
         noise = torch.rand(scores.shape, generator=self._dice, device=scores.device).clamp_min(1e-12)
         chosen = (log_probs - (-noise.log()).log()).argmax(-1)
@@ -211,16 +215,20 @@ def arrays_of(network: ChooserNetwork, device: torch.device) -> Arrays:
     return {name: torch.as_tensor(np.array(array, order="C"), device=device) for name, array in network.arrays.items()}
 
 
-def encode(shown: Mapping[str, Tensor], agent: str, objects: int) -> tuple[Tensor, Tensor]:
+def encode(
+    shown: Mapping[str, Tensor], agent: str, objects: int, *, observations: tuple[str, ...] = OBSERVATIONS
+) -> tuple[Tensor, Tensor]:
     """Inputs of each object [W, K, F] and the rest [W, R] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
     each, rest, own = [], [], SKILLS_WITH_OBJECT * objects
-    for name in OBSERVATIONS:
+    for name in observations:
         encoding, seen = ENCODINGS.get(name), shown[name]
         if encoding is None:
             each.append(seen[:, :own].reshape(-1, SKILLS_WITH_OBJECT, objects).transpose(1, 2))
             rest.append(seen[:, own:])
         elif encoding.is_of_objects:
             each.append(_inputs(name, seen.reshape(-1, objects, encoding.given)))
+            if hides(name, observations):
+                each[-1] = each[-1] * (1 - shown["held_by_other"])[..., None]
         else:
             rest.append(_inputs(name, seen))
     assert rest[-1].shape[1] == rest_count(agent)
