@@ -34,6 +34,8 @@ from sim_kinematic.torch.skills.bank import SkillBank
 
 Bank = EpisodeBank | SkillBank
 CHECKPOINT, POLICY = "checkpoint.pt", "policy.npz"
+STARTS = "starts.npz"
+"""Of a skill: where its episodes begin, so that a run that goes on need not search for them again."""
 
 
 def train(
@@ -47,7 +49,8 @@ def train(
     updates; progress in minutes depends on the clock. A process that torchrun started joins the others.
 
     Args:
-        folder: Of the run; it exists. `POLICY`, `CHECKPOINT` and the learning curve (`h3data_training.curve`) appear there.
+        folder: Of the run; it exists. `POLICY`, `CHECKPOINT` and the learning curve (`h3data_training.curve`) appear there, and
+            `STARTS` of a skill.
         settings: What is trained: social navigation, or a skill (`h3data_training.skills.settings.SkillSettings`).
         seed: Everything random follows from it.
         device: ``cpu`` or ``cuda``.
@@ -118,7 +121,10 @@ class _Job:
         bank = self.bank
         if bank is None:
             s = self.settings
-            bank = make_skill_bank(s, seed=self.seed) if isinstance(s, SkillSettings) else make_bank(s, seed=self.seed)
+            if isinstance(s, SkillSettings):
+                bank = make_skill_bank(s, seed=self.seed, file=self.folder / STARTS)
+            else:
+                bank = make_bank(s, seed=self.seed)
         say(f"{len(bank)} episodes in {len(bank.scenes)} homes after {time.time() - self.began:.0f} s")
         return bank
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.geometry import Array
-from sim_kinematic.agents.robots.skills import RobotActor, checked_command
+from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
 from sim_kinematic.contact.frames import Body
@@ -299,13 +299,5 @@ class Stage:
         if self._renderer is None or self._episode is not episode:
             bodies, names = [member.body for member in episode.roster], [target.name for target in episode.targets]
             self._episode, self._renderer = episode, StateRenderer(episode.scene, bodies, objects=names)
-        self._renderer.pose(play.state, frames=[_frames(play, k) for k in range(len(episode.roster))])
+        self._renderer.pose(play.state, frames=play.frames())
         return self._renderer
-
-
-def _frames(play: RearrangePlay, number: int) -> Array:
-    """Frames of an agent's links [1, L, 4, 4] or joints [1, 55, 4, 4]."""
-    actor = play.actors[number]
-    if isinstance(actor, RobotActor):
-        return actor.robot.link_matrices(actor.pose[None], actor.joints[None])
-    return actor.person.joint_matrices[None]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.geometry import Array
 from h3data.scene import Scene
 from sim_kinematic.contact.frames import Body, Floor
 from sim_kinematic.motion.state import WorldState
@@ -20,12 +21,13 @@ from sim_kinematic.sensing.sensor import DEPTH_RANGE_M
 
 def see(
     state: WorldState, scene: Scene, bodies: Sequence[Body], names: Sequence[str], *, agent: int,
-    size: tuple[int, int] | None = None, floor: Floor = 0.0, speed_mps: float | None = None,
+    size: tuple[int, int] | None = None, floor: Floor = 0.0, speed_mps: float | None = None, objects: Sequence[str] = (),
+    frames: Sequence[Array] | None = None,
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
     """Named pictures of an agent, exact, as `sim_kinematic.sensing.observation_set` shows them.
 
     Args:
-        state: One world, without movable objects.
+        state: One world.
         scene: The home.
         bodies: Of all agents in the order of the state.
         names: Some of `sim_kinematic.sensing.agent_pictures.picture_names`.
@@ -33,12 +35,14 @@ def see(
         size: Width and height [pixels]; None is each camera's own.
         floor: Its map, or the height of its floor [m].
         speed_mps: At which people walk, which chooses their clips.
+        objects: Names of the instances that the state moves.
+        frames: Of all agents, as of `StateRenderer.pose`.
 
     Returns:
         ``*_depth`` [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, ``*_rgb`` uint8 [H, W, 3], the detector [1].
     """
-    rendered = _renderer(scene, tuple(bodies), speed_mps, threading.get_ident())
-    rendered.pose(state, floor=floor)
+    rendered = _renderer(scene, tuple(bodies), tuple(objects), speed_mps, threading.get_ident())
+    rendered.pose(state, floor=floor, frames=frames)
     near, far = DEPTH_RANGE_M
     pictures = AgentPictures(bodies[agent], names, agent=agent, depth_size=size, rgb_size=size).take(rendered)
     return {
@@ -48,6 +52,8 @@ def see(
 
 
 @lru_cache(maxsize=4)  # packing a home costs as much as some hundred pictures
-def _renderer(scene: Scene, bodies: tuple[Body, ...], speed_mps: float | None, thread: int) -> StateRenderer:
+def _renderer(
+    scene: Scene, bodies: tuple[Body, ...], objects: tuple[str, ...], speed_mps: float | None, thread: int
+) -> StateRenderer:
     del thread  # a renderer must not be shared between threads
-    return StateRenderer(scene, bodies, speed_mps=speed_mps)
+    return StateRenderer(scene, bodies, objects=objects, speed_mps=speed_mps)

@@ -17,7 +17,7 @@ from h3data.render import Output, RenderInstance, RenderScene, pinhole
 from h3data.render.gpu import GpuRenderer, GpuScene
 from h3data.render.sheets.scene_map import render_scene
 from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE
-from h3data.scene import Scene
+from h3data.scene import Mesh, Scene
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.sensing.camera_sensor import HEAD_HFOV_DEG, ROBOT_ID
 from sim_kinematic.sensing.sensor import HUMAN_ID
@@ -142,39 +142,46 @@ class TensorCameras:
 
     def _frames_of(self, robot: RobotTensors, human: HumanTensors) -> tuple[Tensor, Tensor]:
         """World matrices of the robot's links and cameras [W, N + C, 3, 4], of the person's joints and eyes [W, 56, 3, 4]."""
-        parts = _placed(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
+        parts = in_world(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
         posture = self._cycle.look_up(self._person, HumanTensors(*(t.float() for t in human)))
-        return parts, _placed(posture, human.xz.float(), human.heading.float(), self._floor_y)
+        return parts, in_world(posture, human.xz.float(), human.heading.float(), self._floor_y)
 
 
 def _stage(scene: Scene, robot: Robot, human: Humanoid, *, light: bool) -> GpuScene:
     """A home with one robot and one person in it. Robot and person have the same slots in all homes."""
     skin, worn = (human.lod, human.lod_mesh) if light else (human.full, human.mesh)
+    meshes, instances, links = with_robot(scene, robot)
+    person = len(meshes)
+    instances.append(RenderInstance(person, np.eye(4), semantic_id=HUMAN_ID, name="human"))
+    return GpuScene(
+        RenderScene([*meshes, worn], instances, deformable=[person]),
+        moving=links,
+        skins={person: (skin, human.inverse_bind)},
+    )
+
+
+def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInstance], range]:
+    """Meshes and instances of a home with a robot in it, and the numbers of the robot's links among the instances."""
     home = render_scene(scene)
     links = [link for link in robot.links if link.mesh is not None]
-    meshes = [*home.meshes, *(link.mesh for link in links), worn]
-    first, person = len(home.instances), len(meshes) - 1
-    ids = {i.name: i.semantic_id for i in scene.instances}
+    first, ids = len(home.instances), {i.name: i.semantic_id for i in scene.instances}
     instances = [replace(i, semantic_id=ids[i.name]) for i in home.instances]
     instances += [
         RenderInstance(len(home.meshes) + k, np.eye(4), semantic_id=ROBOT_ID, name=link.name)
         for k, link in enumerate(links)
     ]
-    instances.append(RenderInstance(person, np.eye(4), semantic_id=HUMAN_ID, name="human"))
-    return GpuScene(
-        RenderScene(meshes, instances, deformable=[person]),
-        moving=range(first, first + len(links)),
-        skins={person: (skin, human.inverse_bind)},
-    )
+    meshes = [*home.meshes, *(link.mesh for link in links if link.mesh is not None)]
+    return meshes, instances, range(first, first + len(links))
 
 
-def _placed(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float) -> Tensor:
-    """World matrices [W, N, 3, 4] of frames [N, 3, 4] or [W, N, 3, 4] in the frames of agents at [W, 2] with headings [W].
+def in_world(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float | Tensor) -> Tensor:
+    """World matrices [W, N, 3, 4] of frames [N, 3, 4] or [W, N, 3, 4] in the frames of agents at [W, 2] with headings [W], on
+    floors of one height, or of one for each world [W].
 
     Without a matrix product, which a GPU might do with 10 bits.
     """
     c, s = heading.cos()[:, None, None], heading.sin()[:, None, None]
     x, y, z = frames.unbind(-2)
     rows = torch.stack([c * x + s * z, y.expand(len(heading), -1, -1), c * z - s * x], -2)
-    place = torch.stack([xz[:, 0], torch.full_like(heading, floor_y), xz[:, 1]], -1)
+    place = torch.stack([xz[:, 0], torch.zeros_like(heading) + floor_y, xz[:, 1]], -1)
     return rows + torch.nn.functional.pad(place[:, None, :, None], (3, 0))

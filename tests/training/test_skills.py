@@ -18,13 +18,24 @@ from h3data_training.curve import curve_of
 from h3data_training.networks import ActorCritic, actor_numbers
 from h3data_training.ppo import schedule
 from h3data_training.run import POLICY, train
+from h3data_training.skills.cpu_cameras import CpuSkillCameras
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import OF_THE_ARM, SkillSettings, skill_recipe
 from h3data_training.skills.worlds import HeldSkills
+from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.learned import network_of
-from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard
+from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.policies.skills.names import recorded_skills, skills_of
-from sim_kinematic.torch.skills.bank import SkillBank
+from sim_kinematic.policies.skills.player import LearnedSkill
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.skill_judging import judge
+from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, draw_starts
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.resume import verify
+from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.sources import EpisodeSource
+from sim_kinematic.torch.skills.bank import COLUMNS, SkillBank
+from sim_kinematic.torch.skills.worlds import SkillTensors
 
 SMALL = replace(
     skill_recipe("tiny", "pick"), scenes="small:1", episodes_per_home=1, starts=4, worlds=4, rollout=3, minibatches=2,
@@ -132,8 +143,9 @@ def test_settings_that_cannot_be_are_refused() -> None:
     ):
         with pytest.raises(InputError, match=message):
             SkillSettings(**change)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="without pictures so far"):
-        HeldSkills(replace(SMALL, observations=("arm_depth", "way")), None, device="cpu")  # type: ignore[arg-type]
+    for size in ((30, 24), (32, 2)):
+        with pytest.raises(InputError, match="multiples of 4"):
+            replace(SMALL, picture_size=size)
 
 
 def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -143,7 +155,8 @@ def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.Captu
     assert not (tmp_path / "run").exists()
     for words, message in (
         (["skill"], "Unknown skill ''"),
-        (["skill", "nav", "--recipe", "fast"], "Unknown recipe 'fast' of skills"),
+        (["skill", "nav", "--recipe", "paper"], "Unknown recipe 'paper' of skills"),
+        (["skill", "nav", "--recipe", "fast", "--observations", "arm_rgb"], "arm_rgb"),
         (["skill", "nav", "--walk", "paper"], "not of skill: --walk"),
         (["social_nav", "nav"], "after the task skill only"),
     ):
@@ -170,9 +183,132 @@ def test_a_teachers_weight_comes_down_to_nothing() -> None:
     assert weights == pytest.approx([3.0, 1.5, 0.0, 0.0])
 
 
+def test_starts_are_kept_in_a_file_and_read_again(
+    bank: SkillBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "starts.npz"
+    make_skill_bank(SMALL, seed=0, workers=1, file=file)
+    kept = file.read_bytes()
+    other = make_skill_bank(SMALL, seed=1, workers=1, file=file)
+    assert not np.array_equal(other.xz, bank.xz)
+    for damaged in (b"", kept[:500], b"no file"):
+        file.write_bytes(damaged)
+        make_skill_bank(SMALL, seed=0, workers=1, file=file)
+        with np.load(file) as arrays:
+            np.testing.assert_array_equal(arrays["xz"], bank.xz)
+    monkeypatch.setattr("h3data_training.skills.episodes.draw_starts", None)
+    again = make_skill_bank(SMALL, seed=0, workers=1, file=file)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(again, name), getattr(bank, name), err_msg=name)
+        assert getattr(again, name).dtype == getattr(bank, name).dtype
+    assert [scene.name for scene in again.scenes] == [scene.name for scene in bank.scenes]
+    np.testing.assert_array_equal(again.floors[0].sdf, bank.floors[0].sdf)
+
+
 def test_starts_nearby_are_repeated(bank: SkillBank) -> None:
     near = np.hypot(*(bank.xz - bank.stand).T) < 2.0
     more = bank.with_near(0.9, within_m=2.0)
     share = (np.hypot(*(more.xz - more.stand).T) < 2.0).mean()
     assert near.mean() < share if 0 < near.mean() < 0.9 else len(more) == len(bank)
     assert len(bank.with_near(0.0)) == len(bank)
+
+
+# --- pictures -----------------------------------------------------------------------------------------------------------
+PICTURED = replace(
+    skill_recipe("fast", "pick"), scenes="small:1", episodes_per_home=1, starts=4, worlds=4, rollout=3, minibatches=2, epochs=2,
+    picture_size=(16, 12), channels=(4, 4, 4), features=8, hidden=8, act_width=8, critic_width=8, updates=3,
+)  # fmt: skip
+
+
+def test_fast_is_told_no_map() -> None:
+    for skill in SKILL_NAMES:
+        settings = skill_recipe("fast", skill)
+        assert settings.observations[0] == "arm_depth"
+        assert not {"way", "range_scan", "egomotion"} & set(settings.observations)
+        assert {"way", "range_scan"} <= set(settings.critic)
+
+
+@pytest.fixture(scope="module")
+def pictured(bank: SkillBank, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of three updates that learns from pictures."""
+    folder = tmp_path_factory.mktemp("pictured")
+    assert train(folder, PICTURED, bank=bank, name="small").done
+    return folder
+
+
+def test_one_that_learns_from_pictures_goes_on_exactly(
+    pictured: Path, bank: SkillBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = threading.Event()
+
+    class Stopping:
+        def __enter__(self) -> threading.Event:
+            return stop
+
+        def __exit__(self, *error: object) -> None: ...
+
+    monkeypatch.setattr(runs, "stop_asked", Stopping)
+    assert not train(tmp_path, PICTURED, bank=bank, say=lambda line: stop.set() if "update 1 " in line else None).done
+    monkeypatch.undo()
+    assert train(tmp_path, PICTURED, bank=bank, resume=True).done
+    mine, theirs = arrays(tmp_path), arrays(pictured)
+    assert "conv_0.weight" in mine
+    for name, array in theirs.items():
+        np.testing.assert_array_equal(mine[name], array, err_msg=name)
+
+
+def test_worlds_show_pictures_of_the_state_after_the_last_step(bank: SkillBank) -> None:
+    worlds = HeldSkills(PICTURED, bank, device="cpu")
+    shown, _ = worlds.reset(seed=[0, 1, 2, 3])
+    assert shown["arm_depth"].shape == (4, 12, 16, 1)
+    assert 0 <= shown["arm_depth"].min() < shown["arm_depth"].max() <= 1
+    after = worlds.held(torch.ones(4, 10))[0]
+    assert not torch.equal(after["arm_depth"], shown["arm_depth"])
+    assert worlds._cameras is not None
+    want = worlds._cameras.observe(worlds.play)["depth"].clip(0, 10) / 10
+    assert torch.equal(after["arm_depth"][..., 0], want)
+    assert torch.equal(after["arm_joints"], worlds.play.joints)
+
+
+@pytest.fixture(scope="module")
+def episode() -> RearrangeEpisode:
+    found = EpisodeSource(Rearrange(), "small:1").sample(0, 0)
+    assert isinstance(found, RearrangeEpisode)
+    return found
+
+
+def test_the_file_of_one_that_sees_is_shown_what_it_saw_in_training(pictured: Path, episode: RearrangeEpisode) -> None:
+    skills = recorded_skills(str(pictured / POLICY))
+    start = draw_starts(episode, "pick", 1, np.random.default_rng(0), path_m=(0.0, 5.0))[0]
+    seen: list[np.ndarray] = []
+    learned = skills_of(skills, robot="quad_arm")["pick"]
+
+    class Watched(PicturedNetwork):
+        def __call__(self, shown, last, state):
+            seen.append(shown["arm_depth"])
+            return super().__call__(shown, last, state)
+
+    own = LearnedSkill(Watched(card=learned.network.card, arrays=learned.network.arrays), rules=SkillSpec(arm_steps=4))
+    assert judge(episode, start, {"pick": own}).steps <= 4
+    sim = SkillTensors("pick", SkillBank.of([(episode, episode.free, [start])]), device="cpu", dtype=torch.float64)
+    begun = sim.step(sim.before_the_first(torch.tensor([-1])), torch.zeros(1, 10, dtype=torch.float64))
+    want = CpuSkillCameras(sim, size=(16, 12)).observe(begun)["depth"][0, ..., None].numpy() / 10
+    assert len(seen) == 2
+    np.testing.assert_allclose(seen[0], want.clip(0, 1), atol=1e-5)
+
+
+def test_one_that_sees_plays_in_rearrangement_and_is_verified(tmp_path: Path, episode: RearrangeEpisode) -> None:
+    """What is in its pictures steers it."""
+    settings = replace(PICTURED, skill="nav", observations=("arm_depth", "target_gps_compass"), std=0.5)
+    torch.manual_seed(0)
+    net = ActorCritic(settings)
+    with torch.no_grad():
+        net.act[-1].weight.mul_(40.0)  # type: ignore[union-attr, operator]
+    card = PolicyCard(
+        task="skill_nav", robot="quad_arm", observations=settings.observations, picture_size=(16, 12), hold=3
+    )
+    save_pictured(PicturedNetwork(card=card, arrays=net.arrays()), tmp_path / "nav.npz")
+    short = replace(episode, spec=replace(episode.spec, skills=str(tmp_path), max_steps=24))
+    recording = simulate(Rearrange(), short, {"robot": "greedy_nearest", "human": "both"})
+    assert len({tuple(action) for action in recording.columns["agent_0.action"].round(4).tolist()}) > 4
+    assert verify(recording).difference is None

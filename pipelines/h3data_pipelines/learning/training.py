@@ -49,6 +49,7 @@ class Train:
         h3data train rearrange --population learn_pop --workers 16 --updates 200 --resume -o out/learn_pop
         h3data train skill nav -o out/skills/nav
         h3data train skill pick --minutes 20 -o out/skills/pick
+        h3data train skill place --recipe fast --device cuda -o out/seeing/place
         h3data train rearrange --population learn_single --worlds 1024 --device cuda -o out/learn_single
         h3data evaluate social_nav --policies weights:out/nav/policy.npz,rollout_expert -o out/table
     """
@@ -69,12 +70,13 @@ class Train:
     recipe: Literal["fast", "paper", "tiny"] | None = None
     """social_nav, settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one
     (pictures of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where
-    the person is and how far off walls are; the default)."""
+    the person is and how far off walls are; the default). skill: fast is for one GPU (4,096 worlds, pictures of 64 x 48, no map
+    but for critic and teacher), tiny for a CPU (512 worlds, no pictures: the robot is told the path; the default)."""
     seed: int = 0
     """Everything random follows from it."""
     minutes: float | None = None
-    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30, skills 10
-    to 20)."""
+    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30, skills
+    10, with fast 6)."""
     updates: int | None = None
     """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
     stop_after: float | None = None
@@ -91,8 +93,8 @@ class Train:
     observations: str | None = None
     """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
     humanoid_gps,range_scan); there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, way and
-    range_scan. Skills: target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor, resting_sensor,
-    arm_joints and is_holding."""
+    range_scan. Skills: arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor,
+    resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else all but arm_depth)."""
     worlds: int | None = None
     """Worlds that are stepped at once. rearrange: episodes of an update, with oracle skills and the paper's people, on --device
     (default: none; episodes have our full rules and are played by --workers)."""

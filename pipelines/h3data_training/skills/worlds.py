@@ -1,16 +1,18 @@
-"""Batched worlds of a skill for training: an action is held for some steps."""
+"""Batched worlds of a skill for training: an action is held for some steps and a picture taken after the last, all in one CUDA
+graph."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from h3data.errors import InputError
 from h3data_training.held import HeldSteps
 from h3data_training.skills.settings import SkillSettings
 from sim_kinematic.envs.torch_env import places_in_bank
+from sim_kinematic.sensing.sensor import DEPTH_RANGE_M
 from sim_kinematic.torch.graph import can_fuse, captured, fused
 from sim_kinematic.torch.skills.bank import SkillBank
 from sim_kinematic.torch.skills.teacher import taught
@@ -30,15 +32,12 @@ class HeldSkills(HeldSteps):
         count: int | None = None,
     ) -> None:  # fmt: skip
         """``count`` worlds, by default those of the settings; of several processes, each has its share of them."""
-        if "arm_depth" in settings.observations:
-            raise InputError(
-                "Skills are learned without pictures so far, got arm_depth. Hint: --observations without it."
-            )
         self.hold, self.num_envs, self.device = hold or settings.hold, count or settings.worlds, torch.device(device)
         self.limit = settings.limit
         starts = bank.with_near(settings.near_share)
         self.sim = SkillTensors(settings.skill, starts, device=device, dtype=torch.float32, robot=settings.robot)
-        self._names = tuple(dict.fromkeys((*settings.observations, *settings.critic)))
+        told = dict.fromkeys((*settings.observations, *settings.critic))
+        self._names = tuple(name for name in told if name != "arm_depth")
         worlds, where = self.num_envs, self.device
         self.play = self.sim.before_the_first(torch.full((worlds,), -1, dtype=torch.int64, device=where))
         self._make_totals(worlds, where)
@@ -46,7 +45,21 @@ class HeldSkills(HeldSteps):
         self._shown: dict[str, Tensor] = {}
         compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
         self._step = fused(self.sim.step) if compiles else self.sim.step
+        self._cameras = (
+            self._make_cameras(settings.picture_size, compile=compiles)
+            if "arm_depth" in settings.observations
+            else None
+        )
         self._advance = self._eager
+
+    def _make_cameras(self, size: tuple[int, int], *, compile: bool) -> Any:
+        if self.device.type == "cuda":
+            from sim_kinematic.torch.skills.cameras import SkillCameras
+
+            return SkillCameras(self.sim, worlds=self.num_envs, size=size, compile=compile)
+        from h3data_training.skills.cpu_cameras import CpuSkillCameras
+
+        return CpuSkillCameras(self.sim, size=size)
 
     def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Begins an episode in all worlds, each at the place in the bank that follows from its seed."""
@@ -63,7 +76,18 @@ class HeldSkills(HeldSteps):
 
     def _eager(self) -> None:
         self._hold_action()
-        self._shown = self.sim.observations(self._names, self.play)
+        shown = self.sim.observations(self._names, self.play)
+        if self._cameras is not None:
+            near, far = DEPTH_RANGE_M
+            depth = self._cameras.observe(self.play)["depth"]
+            shown["arm_depth"] = ((depth.clip(near, far) - near) / (far - near))[..., None]
+        if not self._shown:
+            self._shown = {name: tensor.clone() for name, tensor in shown.items()}
+        for (
+            name,
+            tensor,
+        ) in shown.items():  # the tensors of a captured graph are those that it writes to in every replay
+            self._shown[name].copy_(tensor)
 
     def _step_held(self, k: int) -> None:
         after = self._step(self.play, self._action, looks=k == self.hold - 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -72,6 +72,8 @@ class RobotActor(RobotDriver):
 
     learned: Mapping[str, LearnedSkill] = field(default_factory=dict)
     """Learned skills in the place of its own, by name."""
+    pictures: Callable[[Sequence[str], tuple[int, int] | None], dict[str, NDArray]] | None = None
+    """Takes named pictures of it now, of some size (width, height): `sim_kinematic.sensing.eyes.see`. None: nobody does."""
 
     def infeasible(self, action: Action) -> str:
         why = self.objects.why_not(self.number, action)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from h3data.errors import FormatError
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError
 from h3data.geometry import Array
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import Action, Ending, Skill
@@ -15,6 +18,7 @@ from sim_kinematic.policies.skills.observations import SENSES, SkillView, observ
 
 TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
 """The skills of the upper layer that a policy file stands for, by the task on its card."""
+PICTURE = "arm_depth"
 FAR_M = 6.0
 """``pick`` and ``place`` are not begun farther than this from their target."""
 
@@ -37,10 +41,11 @@ class LearnedSkill:
             raise FormatError(f"Expected weights for one of the tasks {', '.join(TASKS)}, these are for {card.task!r}.")
         if robot and robot != card.robot:
             raise FormatError(f"These weights drive the robot {card.robot}, the episode has {robot}.")
-        strangers = [name for name in card.observations if name not in SENSES]
+        known = (PICTURE, *SENSES)
+        strangers = [name for name in card.observations if name not in known]
         if strangers:
             raise FormatError(
-                f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(SENSES)}."
+                f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(known)}."
             )
         if (card.actions == BASE_ACTIONS) != (card.task == "skill_nav"):
             raise FormatError(f"The weights for {card.task} have {card.actions} outputs, which is not what it takes.")
@@ -80,7 +85,7 @@ class LearnedSkill:
                 continue
             view = self._view(actor, point, stand_xz, before)
             if step % network.card.hold == 0:
-                out, state = network(observe(view, network.observations), command, state)
+                out, state = network(self._shown(actor, view), command, state)
                 command = np.clip(np.nan_to_num(out, nan=0.0), -1, 1)
             before = actor.xz.copy(), actor.heading
             actor.obey(command, point[[0, 2]])
@@ -96,6 +101,16 @@ class LearnedSkill:
         to_object = action.skill in ("nav_to_object", "pick")
         k = action.target
         return (actor.objects.poses[k, :3] if to_object else actor.objects.goals[k]).copy()
+
+    def _shown(self, actor: RobotActor, view: SkillView) -> dict[str, NDArray[Any]]:
+        """All that the network is shown now."""
+        card = self.network.card
+        shown: dict[str, NDArray[Any]] = dict(observe(view, [name for name in card.observations if name != PICTURE]))
+        if not self.network.sees:
+            return shown
+        if actor.pictures is None:
+            raise InputError(f"The skill needs {PICTURE}, and nobody takes pictures here.")
+        return shown | actor.pictures((PICTURE,), card.picture_size)
 
     def _view(self, actor: RobotActor, point: Array, stand_xz: Array, before: tuple[Array, float]) -> SkillView:
         return SkillView(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
+from h3data.geometry import Array
 from h3data.kernels import kernel
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.recording.records import JOINTS
@@ -215,7 +216,7 @@ class RearrangePlay:
         self.doorways = Doorways.of(world.scene, world.free)
         self.floor = world.free
         """As it is now, with the doors and drawers that are open."""
-        self.openables = self._openables()
+        self.openables, self._scene = self._openables(), world.scene
         self.starts = state.object_pose[0, :, :3].copy()
         self.actors = [self._actor(number) for number in range(len(world.roster))]
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
@@ -248,6 +249,8 @@ class RearrangePlay:
         for actor in self.actors:
             actor.agreed, actor.openables = not alone, self.openables
             actor.meets = partial(self.encounters.meets, actor)
+            if isinstance(actor, RobotActor):
+                actor.pictures = partial(self.pictures, actor.number)
             if isinstance(actor, DrivenPerson):
                 actor.actors = self.actors
                 if solid:
@@ -329,7 +332,7 @@ class RearrangePlay:
             self._show_scene(openables.scene_now())
 
     def _show_scene(self, scene: Scene) -> None:
-        world, floor_y = self.episode, self.episode.free.floor_y
+        world, floor_y, self._scene = self.episode, self.episode.free.floor_y, scene
         if world.spec.floor_moves:
             self.floor = common_floor(world.roster, world.free.as_in(scene))
             if self.right_of_way is not None:
@@ -473,6 +476,32 @@ class RearrangePlay:
         at_goal = np.empty(len(self.objects.goals), np.bool_)
         _reached(self.objects.poses, self.objects.goals, self.objects.held_by, self.episode.spec.at_goal_m, at_goal)
         return at_goal
+
+    def frames(self) -> list[Array]:
+        """Frames of the agents as they are now: of robots' links [1, L, 4, 4], of people's joints [1, 55, 4, 4]."""
+        return [
+            actor.robot.link_matrices(actor.pose[None], actor.joints[None])
+            if isinstance(actor, RobotActor)
+            else actor.person.joint_matrices[None]
+            for actor in self.actors
+        ]
+
+    def pictures(self, agent: int, names: Sequence[str], size: tuple[int, int] | None) -> dict[str, NDArray[Any]]:
+        """Named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`: arms and hands where they are, objects where
+        they lie or are held, doors and drawers where they last came to rest."""
+        from sim_kinematic.sensing.eyes import see
+
+        bodies = [member.body for member in self.episode.roster]
+        return see(
+            self.state,
+            self._scene,
+            bodies,
+            names,
+            agent=agent,
+            size=size,
+            objects=self.objects.names,
+            frames=self.frames(),
+        )
 
     def snapshot(self) -> Row:
         """The columns of the step that has just been played."""

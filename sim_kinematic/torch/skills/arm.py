@@ -1,7 +1,8 @@
-"""A robot's arm as tensors: joints that move by small steps, and where they bring the hand."""
+"""A robot's arm as tensors: joints that move by small steps, and where they bring the hand and all other links."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,22 +13,22 @@ from torch import Tensor
 from h3data.bodies import Robot
 from h3data.bodies.robots.kinematics import FIXED, SLIDES, TURNS
 from h3data.errors import InputError
+from h3data.geometry import IDENTITY_POSE
 from sim_kinematic.motion.spec import ArmSpec
 
 
 class Hand(NamedTuple):
-    """Hands of W worlds in some frame."""
+    """Hands, or other links, of W worlds in some frame."""
 
     point: Tensor
-    """Where they hold things, [W, 3] [m]."""
+    """Where hands hold things, or links have their origins, [W, 3] [m]."""
     axes: Tensor
-    """The axes of the hand's link as columns, [W, 3, 3]."""
+    """The axes of the link as columns, [W, 3, 3]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Joint:
-    """One link of the chain from the base to the hand, as products with a constant matrix [3, 10]: where its joint is, and the
-    three parts of its rotation."""
+    """The joint of one link, as products with a constant matrix [3, 10]: where it is, and the three parts of its rotation."""
 
     column: int
     """Of the arm's joint that moves it; -1: none."""
@@ -39,7 +40,7 @@ class _Joint:
 
 
 class Arm:
-    """The chain of links from a robot's base to its hand."""
+    """The links of a robot that its arm's joints move, and the chain of them from its base to its hand."""
 
     def __init__(self, robot: Robot, device: torch.device | str, dtype: torch.dtype) -> None:
         """
@@ -59,28 +60,31 @@ class Arm:
             chain.append(robot.links[chain[-1]].parent)
         self._start = constant(robot.to_base)
         self._at = constant(robot.hand_position)
-        self._joints = []
-        for link in reversed(chain):
-            origin, axis, kind = robot.origins[link], robot.axes[link], int(robot.kinds[link])
-            if kind not in (FIXED, TURNS, SLIDES):
-                raise InputError(f"Arms with ball joints are simulated on the CPU only, {robot.name} has one.")
-            own, gain, offset = -1, float(robot.gains[link]), float(robot.offsets[link])
-            if kind != FIXED and int(robot.columns[link]) in columns:
-                own = columns.index(int(robot.columns[link]))
-            elif kind != FIXED:  # a joint that is none of the arm's stays at rest
-                offset, gain = gain * float(robot.rest[robot.columns[link]]) + offset, 0.0
-            cross = np.cross(np.eye(3), axis)  # the matrix of the cross product with the axis
-            turn = origin[:3, :3]
-            moved = (turn, turn @ cross, turn @ cross @ cross)
-            if kind == TURNS and own < 0:
-                moved = (turn @ (np.eye(3) + np.sin(offset) * cross + (1 - np.cos(offset)) * cross @ cross), *moved[1:])
-            place = origin[:3, 3] + (turn @ axis * offset if kind == SLIDES and own < 0 else 0.0)
-            self._joints.append(
-                _Joint(
-                    column=own, gain=gain, offset=offset, parts=constant(np.column_stack([*moved, place])),
-                    slides=constant(turn @ axis) if kind == SLIDES and own >= 0 else None,
-                )
-            )  # fmt: skip
+        self._chain = chain[::-1]
+        self._movable = _movable(robot, columns)
+        self._joints = {link: self._joint(link, columns, constant) for link in {*chain, *self._movable}}
+        self._rest = constant(robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0])
+
+    def _joint(self, link: int, columns: Sequence[int], constant: Callable[[object], Tensor]) -> _Joint:
+        robot = self.robot
+        origin, axis, kind = robot.origins[link], robot.axes[link], int(robot.kinds[link])
+        if kind not in (FIXED, TURNS, SLIDES):
+            raise InputError(f"Arms with ball joints are simulated on the CPU only, {robot.name} has one.")
+        own, gain, offset = -1, float(robot.gains[link]), float(robot.offsets[link])
+        if kind != FIXED and int(robot.columns[link]) in columns:
+            own = columns.index(int(robot.columns[link]))
+        elif kind != FIXED:  # a joint that is none of the arm's stays at rest
+            offset, gain = gain * float(robot.rest[robot.columns[link]]) + offset, 0.0
+        cross = np.cross(np.eye(3), axis)  # the matrix of the cross product with the axis
+        turn = origin[:3, :3]
+        moved = (turn, turn @ cross, turn @ cross @ cross)
+        if kind == TURNS and own < 0:
+            moved = (turn @ (np.eye(3) + np.sin(offset) * cross + (1 - np.cos(offset)) * cross @ cross), *moved[1:])
+        place = origin[:3, 3] + (turn @ axis * offset if kind == SLIDES and own < 0 else 0.0)
+        return _Joint(
+            column=own, gain=gain, offset=offset, parts=constant(np.column_stack([*moved, place])),
+            slides=constant(turn @ axis) if kind == SLIDES and own >= 0 else None,
+        )  # fmt: skip
 
     def moved(self, joints: Tensor, action: Tensor, spec: ArmSpec) -> Tensor:
         """Joints [W, n] after a step by ``action`` [W, n], as `sim_kinematic.agents.manipulation.move_arms`."""
@@ -89,23 +93,53 @@ class Arm:
 
     def hand(self, joints: Tensor) -> Hand:
         """The hand in the agent root frame at joint positions [W, n]."""
-        axes = self._start[:3, :3].expand(len(joints), 3, 3)
-        point = self._start[:3, 3].expand(len(joints), 3)
-        for joint in self._joints:
-            # on a GPU without a matrix product, which it might do with 10 bits
-            parts = (axes[..., None] * joint.parts).sum(-2) if axes.is_cuda else axes @ joint.parts
-            point = point + parts[..., 9]
-            if joint.column < 0:
-                axes = parts[..., :3]
-                continue
-            way = joints[:, joint.column] * joint.gain + joint.offset
-            if joint.slides is not None:
-                point = point + (axes * joint.slides).sum(-1) * way[:, None]
-                axes = parts[..., :3]
-                continue
-            s, c = way.sin()[:, None, None], (1.0 - way.cos())[:, None, None]
-            axes = parts[..., :3] + s * parts[..., 3:6] + c * parts[..., 6:9]
-        return Hand(point + (axes * self._at).sum(-1), axes)
+        link = self._followed(joints, self._chain)[self.robot.hand_link]
+        return Hand(link.point + (link.axes * self._at).sum(-1), link.axes)
+
+    def frames(self, joints: Tensor, links: Sequence[int]) -> Tensor:
+        """Matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n] and all other
+        joints at rest."""
+        found = self._followed(joints, self._movable)
+        still = self._rest[:, :3].expand(len(joints), -1, 3, 4)
+        moved = {link: torch.cat([frame.axes, frame.point[..., None]], -1) for link, frame in found.items()}
+        return torch.stack([moved[link] if link in self._movable else still[:, link] for link in links], 1)
+
+    def _followed(self, joints: Tensor, links: Sequence[int]) -> dict[int, Hand]:
+        """Frames of links, each listed after its parent, and of the base."""
+        count = len(joints)
+        found = {-1: Hand(self._start[:3, 3].expand(count, 3), self._start[:3, :3].expand(count, 3, 3))}
+        for link in links:
+            joint, parent = self._joints[link], self.robot.links[link].parent
+            found[link] = _after(joint, found[parent] if parent in found else self._resting(parent, count), joints)
+        return found
+
+    def _resting(self, link: int, count: int) -> Hand:
+        return Hand(self._rest[link, :3, 3].expand(count, 3), self._rest[link, :3, :3].expand(count, 3, 3))
+
+
+def _movable(robot: Robot, columns: Sequence[int]) -> list[int]:
+    """The links that these joints move, each after its parent."""
+    found: list[int] = []
+    for k, link in enumerate(robot.links):
+        own = int(robot.kinds[k]) != FIXED and int(robot.columns[k]) in columns
+        if own or link.parent in found:
+            found.append(k)
+    return found
+
+
+def _after(joint: _Joint, parent: Hand, joints: Tensor) -> Hand:
+    """The frame of a link, from its parent's."""
+    # on a GPU without a matrix product, which it might do with 10 bits
+    axes = parent.axes
+    parts = (axes[..., None] * joint.parts).sum(-2) if axes.is_cuda else axes @ joint.parts
+    point = parent.point + parts[..., 9]
+    if joint.column < 0:
+        return Hand(point, parts[..., :3])
+    way = joints[:, joint.column] * joint.gain + joint.offset
+    if joint.slides is not None:
+        return Hand(point + (axes * joint.slides).sum(-1) * way[:, None], parts[..., :3])
+    s, c = way.sin()[:, None, None], (1.0 - way.cos())[:, None, None]
+    return Hand(point, parts[..., :3] + s * parts[..., 3:6] + c * parts[..., 6:9])
 
 
 def placed(hand: Hand, xz: Tensor, heading: Tensor, floor_y: Tensor) -> Hand:
@@ -121,3 +155,8 @@ def placed(hand: Hand, xz: Tensor, heading: Tensor, floor_y: Tensor) -> Hand:
 def seen_by(hand: Hand, points: Tensor) -> Tensor:
     """World points [W, 3] in the frames of hands in the world, [W, 3]."""
     return ((points - hand.point)[:, :, None] * hand.axes).sum(-2)
+
+
+def turned(axes: Tensor, by: Tensor) -> Tensor:
+    """Products of rotations [..., 3, 3], to the bit the same wherever: a GPU might do matrix products with 10 bits."""
+    return (axes[..., None] * by[..., None, :, :]).sum(-2)

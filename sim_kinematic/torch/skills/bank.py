@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rearrange.skill_starts import SkillStart
+
+COLUMNS = ("place", "xz", "heading", "objects", "bodies", "turned", "target", "holds", "point", "stand")
+"""The arrays of a `SkillBank`, with a row for each start."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,6 +33,10 @@ class SkillBank:
     """[N] [rad]."""
     objects: NDArray[np.float64]
     """[N, K, 3] [m]."""
+    bodies: NDArray[np.int64]
+    """The objects' numbers among the instances of the home, [N, K]."""
+    turned: NDArray[np.float64]
+    """The objects' orientations, quaternions [N, K, 4]."""
     target: NDArray[np.int64]
     """Number of the object, [N]."""
     holds: NDArray[np.bool_]
@@ -61,6 +68,8 @@ class SkillBank:
             place=np.array([number[id(episode.scene)] for episode, _, _ in rows], np.int64),
             xz=np.array([s.xz for s in found], np.float64), heading=np.array([s.heading for s in found], np.float64),
             objects=np.array([s.objects for s in found], np.float64),
+            bodies=np.array([body_indices(episode) for episode, _, _ in rows], np.int64),
+            turned=np.array([[t.start[3:] for t in episode.targets] for episode, _, _ in rows], np.float64),
             target=np.array([s.target for s in found], np.int64), holds=np.array([s.holds for s in found], np.bool_),
             point=np.array([s.point for s in found], np.float64),
             stand=np.array([s.stand_xz for s in found], np.float64),
@@ -70,12 +79,11 @@ class SkillBank:
     def merged(cls, banks: Sequence[SkillBank]) -> SkillBank:
         """The starts of several banks, one after the other."""
         first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
-        columns = ("xz", "heading", "objects", "target", "holds", "point", "stand")
         return cls(
             floors=tuple(floor for bank in banks for floor in bank.floors),
             scenes=tuple(scene for bank in banks for scene in bank.scenes),
             place=np.concatenate([bank.place + n for bank, n in zip(banks, first[:-1], strict=True)]),
-            **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
+            **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in COLUMNS[1:]},
         )
 
     def with_near(self, share: float, *, within_m: float = 1.0) -> SkillBank:
@@ -86,8 +94,7 @@ class SkillBank:
         if not near.any() or missing <= 0:
             return self
         rows = np.concatenate([np.arange(len(self)), np.resize(np.flatnonzero(near), missing)])
-        columns = ("place", "xz", "heading", "objects", "target", "holds", "point", "stand")
-        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
+        return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS})
 
     def __len__(self) -> int:
         return len(self.place)

@@ -2,7 +2,7 @@
 `sim_kinematic.agents.robots.skills` has it, and what a step is worth (paper appendix, low-level skill training).
 
 State, actions and results stay where they are and nothing waits for the device. As on the CPU: base, joints, grip, which object
-is held and where it is. Not as there: objects have no orientation, and paths are looked up (`sim_kinematic.torch.geodesic`).
+is held, where it is and how it is turned. Not as there: paths are looked up (`sim_kinematic.torch.geodesic`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from h3data.bodies import Robot, load_robot
 from h3data.errors import InputError
-from h3data.geometry import Array
+from h3data.geometry import Array, quat_to_matrix
 from sim_kinematic.agents.robots.hand_reach import hand_target, reach_posture
 from sim_kinematic.avoidance.robot_base import base_of, carrying_base_of
 from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SkillSpec
@@ -24,7 +24,7 @@ from sim_kinematic.sensing.sensor import FAR_M
 from sim_kinematic.tasks.rearrange.skill_starts import Skill
 from sim_kinematic.torch import seen
 from sim_kinematic.torch.geodesic import Lattices, Way, shortest_way
-from sim_kinematic.torch.skills.arm import Arm, Hand, placed, seen_by
+from sim_kinematic.torch.skills.arm import Arm, Hand, placed, seen_by, turned
 from sim_kinematic.torch.skills.bank import SkillBank
 from sim_kinematic.torch.skills.driving import Drive
 from sim_kinematic.torch.state import RobotTensors
@@ -42,6 +42,10 @@ class SkillPlay(NamedTuple):
     """Of the arm, [W, n]."""
     objects: Tensor
     """[W, K, 3] [m]."""
+    turned: Tensor
+    """Axes of the objects as columns, [W, K, 3, 3]."""
+    grip: Tensor
+    """Those of the object in the hand, in the frame of the hand, [W, 3, 3]."""
     held: Tensor
     """Number of the object in the hand, int64 [W]."""
     wide: Tensor
@@ -131,6 +135,7 @@ class SkillTensors:
         self._starts = torch.cat([on_device(bank.xz), on_device(bank.heading[:, None])], 1)
         self._place, self._target, self._holds = map(on_device, (bank.place, bank.target, bank.holds))
         self._objects, self._point, self._stand = map(on_device, (bank.objects, bank.point, bank.stand))
+        self._turned, self._straight = on_device(quat_to_matrix(bank.turned)), on_device(np.eye(3))
         self._floor_y = on_device([float(floor.floor_y) for floor in bank.floors])
 
     @property
@@ -154,7 +159,8 @@ class SkillTensors:
 
         return SkillPlay(
             robot=RobotTensors(numbers(2), numbers(), flags()), joints=numbers(self.arm.count),
-            objects=numbers(self.bank.objects.shape[1], 3), held=torch.full_like(episode, NOTHING), wide=flags(),
+            objects=numbers(self.bank.objects.shape[1], 3), turned=numbers(self.bank.objects.shape[1], 3, 3),
+            grip=numbers(3, 3), held=torch.full_like(episode, NOTHING), wide=flags(),
             episode=episode.clone(), steps=torch.zeros_like(episode), ended=~flags(), way=numbers(), towards=numbers(2),
             apart=numbers(), folded=numbers(), paid=flags(), before_xz=numbers(2), before_heading=numbers(),
             reward=numbers(), success=flags(), terminated=flags(), truncated=flags(),
@@ -191,12 +197,13 @@ class SkillTensors:
         held = torch.where(fresh, torch.where(self._holds[episode], target, NOTHING), held)
         carried = torch.arange(objects.shape[1], device=self.device) == held[:, None]
         objects = torch.where(carried[..., None], hand.point[:, None], objects)
+        axes, grip = self._turned_objects(play, episode, hand, held, carried)
         way = Way(play.way, play.towards)
         if looks:
             way = shortest_way(self.drive.grids.at(place), self.lattices.at(place), robot.xz, self._stand[episode])
         moved = play._replace(
-            robot=robot, joints=joints, objects=objects, held=held, wide=wide & ~fresh, episode=episode,
-            steps=torch.where(fresh, 0, play.steps + 1), way=way.length, towards=way.towards,
+            robot=robot, joints=joints, objects=objects, turned=axes, grip=grip, held=held, wide=wide & ~fresh,
+            episode=episode, steps=torch.where(fresh, 0, play.steps + 1), way=way.length, towards=way.towards,
             apart=(hand.point - self._point[episode]).norm(dim=-1), folded=self._from_rest(hand, robot, floor_y),
             before_xz=torch.where(begins, robot.xz, play.robot.xz),
             before_heading=torch.where(fresh, robot.heading, play.robot.heading),
@@ -209,12 +216,25 @@ class SkillTensors:
         takes = (held == NOTHING) & (action > 0) & (distance < self.arm_rules.grasp_m)
         return torch.where(takes, nearest, torch.where(action < 0, NOTHING, held))
 
+    def _turned_objects(
+        self, play: SkillPlay, episode: Tensor, hand: Hand, held: Tensor, carried: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Axes of the objects after a step, [W, K, 3, 3], and of the held one in its hand, [W, 3, 3]. One that is taken stays
+        turned as it was; one that an episode begins with is turned as the hand is."""
+        fresh = play.ended[:, None, None]
+        axes = torch.where(fresh[..., None], self._turned[episode], play.turned)
+        own = axes[torch.arange(len(held), device=self.device), held.clamp_min(0)]
+        taken = ((held != play.held) & (held != NOTHING))[:, None, None]
+        grip = torch.where(taken, turned(hand.axes.mT, own), play.grip)
+        grip = torch.where(fresh, self._straight, grip)
+        return torch.where(carried[..., None, None], turned(hand.axes, grip)[:, None], axes), grip
+
     def _from_rest(self, hand: Hand, robot: RobotTensors, floor_y: Tensor) -> Tensor:
         return (hand.point - self._resting(robot, floor_y)).norm(dim=-1)
 
     def _resting(self, robot: RobotTensors, floor_y: Tensor) -> Tensor:
         """Where hands would be at rest, in the world [W, 3]."""
-        rest = Hand(self.rest.expand(len(floor_y), 3), torch.zeros(len(floor_y), 3, 3).to(self.rest))
+        rest = Hand(self.rest.expand(len(floor_y), 3), self.rest.new_zeros(len(floor_y), 3, 3))
         return placed(rest, robot.xz, robot.heading, floor_y).point
 
     def _judged(self, before: SkillPlay, now: SkillPlay) -> SkillPlay:

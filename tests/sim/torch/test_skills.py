@@ -10,7 +10,7 @@ import torch
 
 from h3data.bodies import load_robot
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE
+from h3data.geometry import IDENTITY_POSE, quat_to_matrix
 from sim_kinematic.agents.skills import CONTROL, Action
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import SkillSpec
@@ -66,9 +66,21 @@ def test_the_hand_is_where_the_robots_kinematics_have_it(name: str) -> None:
     np.testing.assert_allclose(seen_by(hand, torch.as_tensor(far)).numpy(), seen, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["quad_arm", "lift_arm"])
+def test_all_links_are_where_the_robots_kinematics_have_them(name: str) -> None:
+    robot, rng, count = load_robot(name), np.random.default_rng(1), 20
+    columns, links = list(robot.require_arm()), list(range(len(robot.links)))[::-1]
+    joints = np.tile(robot.rest, (count, 1))
+    joints[:, columns] = rng.uniform(robot.lower[columns], robot.upper[columns], (count, len(columns)))
+    frames = robot.link_matrices(np.tile(IDENTITY_POSE, (count, 1)), joints)[:, links, :3]
+    found = Arm(robot, "cpu", torch.float64).frames(torch.as_tensor(joints[:, columns]), links)
+    np.testing.assert_allclose(found.numpy(), frames, atol=1e-9)
+
+
 @pytest.mark.parametrize("skill", ["nav", "pick", "place"])
 def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Skill) -> None:
-    """Random commands, some of them beyond the limits: base, joints, grip and objects are where the CPU has them."""
+    """Random commands, some of them beyond the limits: base, joints, grip and objects are where the CPU has them, and turned as
+    there."""
     starts = starts_of(episode, skill)
     if skill == "pick":  # something to take without getting there first
         hand = play_of(episode, starts[0], {}).robots[0].hand_pose[:3]
@@ -95,6 +107,8 @@ def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Ski
             np.testing.assert_allclose(float(now.robot.heading[w]), robot.heading, atol=1e-5)
             np.testing.assert_allclose(now.joints[w].numpy(), robot.arm, atol=1e-5)
             np.testing.assert_allclose(now.objects[w].numpy(), play.objects.poses[:, :3], atol=1e-5)
+            axes = quat_to_matrix(play.objects.poses[:, 3:])
+            np.testing.assert_allclose(now.turned[w].numpy(), axes, atol=1e-5)
             assert int(now.held[w]) == play.objects.held(0)
             assert bool(now.robot.contact[w]) == bool(robot.state.contact[0])
             gripped += int(now.held[w]) >= 0

@@ -1,0 +1,52 @@
+"""Pictures of the worlds of a skill on a machine without a GPU, for tests and trials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data.geometry import pose_from_matrix
+from h3data.render import Output
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
+from sim_kinematic.torch.skills.cameras import moved_bodies
+from sim_kinematic.torch.skills.worlds import SkillPlay, SkillTensors
+
+
+class CpuSkillCameras:
+    """Stands in for `sim_kinematic.torch.skills.cameras.SkillCameras`: the CPU renderer, world by world."""
+
+    def __init__(self, sim: SkillTensors, *, size: tuple[int, int]) -> None:
+        self._sim, self._size = sim, size
+        self._moving = moved_bodies(sim.bank)
+        self._drawn: dict[int, StateRenderer] = {}
+
+    def observe(self, play: SkillPlay, outputs: Sequence[Output] = ("depth",)) -> dict[str, Tensor]:
+        """As `sim_kinematic.torch.skills.cameras.SkillCameras.observe`."""
+        sensor = CameraSensor(outputs=tuple(outputs), size=self._size)
+        taken: dict[str, list[np.ndarray]] = {name: [] for name in outputs}
+        for w, episode in enumerate(play.episode.tolist()):
+            for name, picture in sensor.observe(self._posed(play, w, episode)).items():
+                taken[name].append(picture[0])
+        return {name: torch.as_tensor(np.stack(pictures)) for name, pictures in taken.items()}
+
+    def _posed(self, play: SkillPlay, w: int, episode: int) -> StateRenderer:
+        bank, robot = self._sim.bank, self._sim.arm.robot
+        home = int(bank.place[episode])
+        scene, moving = bank.scenes[home], self._moving[home]
+        if home not in self._drawn:
+            self._drawn[home] = StateRenderer(scene, [robot], objects=[scene.instances[k].name for k in moving])
+        state = WorldState.zeros(1, people=0, joints=len(robot.rest), objects=len(moving))
+        (own,) = state.robots
+        own.xz[0], own.heading[0], own.joints[0] = play.robot.xz[w], float(play.robot.heading[w]), robot.rest
+        own.joints[0, list(robot.require_arm())] = play.joints[w]
+        state.object_pose[0] = [scene.instances[k].pose for k in moving]
+        slots = np.searchsorted(moving, bank.bodies[episode])
+        matrices = np.tile(np.eye(4), (len(slots), 1, 1))
+        matrices[:, :3, :3], matrices[:, :3, 3] = play.turned[w], play.objects[w]
+        state.object_pose[0, slots] = pose_from_matrix(matrices)
+        self._drawn[home].pose(state, floor=float(bank.floors[home].floor_y))
+        return self._drawn[home]
