@@ -63,4 +63,4 @@ class Chooser(nn.Module):
             named |= {f"{name}.weight": layer.weight, f"{name}.bias": layer.bias}
         for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
             named[f"gru.{name}"] = getattr(self.gru, f"{name}_l0")
-        return {name: tensor.detach().float().contiguous().numpy().copy() for name, tensor in named.items()}
+        return {name: tensor.detach().float().cpu().contiguous().numpy().copy() for name, tensor in named.items()}
