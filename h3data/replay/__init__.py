@@ -3,6 +3,7 @@
 - `replay`: `Replay`; `posed_recording`: its poses, with `link_poses` for robots; `stage`: its images; `records`: its data
 - `cameras`: cameras by name, among them `third_person` (with `sight`); `camera_files`: cameras from TOML and JSON files;
   `follow`: a camera for recordings without a home
+- `strip`: the moments of an episode of rearrangement side by side
 - `validation`: faults of a recording
 """
 

@@ -4,7 +4,8 @@
 #   PYTHONPATH=$PWD:$PWD/pipelines:$PWD/viewers bash pipelines/bake/populations.sh OUT SECONDS
 #
 # Needs no GPU. OUT gets, every ten seconds, what there is so far: log, learning curve, checkpoint and policies of RUN.*; nothing
-# is lost if it is killed but the last half minute. Where OUT has checkpoints, runs go on. RUNS names them, POPULATION:SEED;
+# is lost if it is killed but the last half minute. Where OUT has checkpoints, runs go on. RUNS names them, POPULATION:SEED or
+# POPULATION:SEED:ABLATION (no_gps, no_primitives; files are POPULATION_ABLATION.SEED.*);
 # WORKERS is the number of processes of each (default: cores shared, and half as many again, since runs learn one after the
 # other), EPISODES the file of episodes, MINUTES the length of a run over all calls, OPTIONS more options of h3data train.
 set -u
@@ -22,7 +23,25 @@ export PYTHONUNBUFFERED=1 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THR
 mkdir -p "$out" "$space"
 echo "$count runs, $workers workers each, $cores cores, $seconds s"
 
-name() { echo "${1/:/.}"; }
+name() { # POPULATION:SEED[:ABLATION]
+    local population seed ablation
+    IFS=: read -r population seed ablation <<<"$1"
+    echo "$population${ablation:+_$ablation}.$seed"
+}
+options() { # of a run
+    local population seed ablation
+    IFS=: read -r population seed ablation <<<"$1"
+    echo "--population $population --seed $seed"
+    case $ablation in
+    "") ;;
+    no_gps) echo "--without humanoid_gps" ;;
+    no_primitives) echo "--without primitives" ;;
+    *) echo "Unknown ablation $ablation, expected no_gps or no_primitives." >&2 && return 1 ;;
+    esac
+}
+for run in $runs; do
+    options "$run" >/dev/null || exit 2
+done
 keep() {
     [ -f "$episodes" ] && [ ! -f "$out/episodes.json.gz" ] && cp "$episodes" "$out/episodes.json.gz"
     for run in $runs; do
@@ -46,7 +65,7 @@ for run in $runs; do
     if [ -f "$out/$(name "$run").checkpoint.pt" ] && [ ! -f "$at/checkpoint.pt" ]; then
         cp "$out/$(name "$run").checkpoint.pt" "$at/checkpoint.pt"
     fi
-    timeout -k 10 "$seconds" python3 -m h3data_pipelines.cli train rearrange --population "${run%:*}" --seed "${run#*:}" \
+    timeout -k 10 "$seconds" python3 -m h3data_pipelines.cli train rearrange $(options "$run") \
         --workers "$workers" --episodes-file "$episodes" --minutes "$minutes" --stop-after "$call" --resume ${OPTIONS:-} \
         -o "$at" >>"$out/$(name "$run").log" 2>&1 &
     processes+=($!)

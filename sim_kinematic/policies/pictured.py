@@ -118,6 +118,8 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Who acts by it: ``robot`` or ``human``."""
     objects: int = 0
     """So many objects of rearrangement it knows."""
+    primitives: bool = True
+    """Whether a robot of rearrangement may choose the primitives of navigation."""
     training: dict[str, Any] = {}
     """How it came about: recipe, seed, steps, hardware, versions."""
 

@@ -66,10 +66,12 @@ def jobs_of(count: int, networks: dict[str, ChooserNetwork], partner: str = "bot
 
 
 # --- the network --------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("agent", [ROBOT, "human"])
-def test_inputs_and_scores_are_those_of_one_agent(agent: str) -> None:
+@pytest.mark.parametrize(("agent", "without"), [(ROBOT, ()), (ROBOT, ("humanoid_gps",)), ("human", ())])
+def test_inputs_and_scores_are_those_of_one_agent(agent: str, without: tuple[str, ...]) -> None:
     rng = np.random.default_rng(0)
-    policy = network("partner_0" if agent == "human" else ROBOT, settings=replace(SMALL, population="learn_single"))
+    settings = replace(SMALL, population="learn_single", without=without)
+    policy = network("partner_0" if agent == "human" else ROBOT, settings=settings)
+    names = settings.observations_of(agent)
     known = limits(objects=2, arm=7 if agent == ROBOT else 0)
     rows = [
         {
@@ -78,11 +80,14 @@ def test_inputs_and_scores_are_those_of_one_agent(agent: str) -> None:
         }
         for _ in range(9)
     ]
-    each, rest = encode({n: torch.tensor(np.array([r[n] for r in rows])) for n in OBSERVATIONS}, agent, 2)
+    for row in rows:
+        row["held_by_other"] = np.round(row["held_by_other"])
+    seen = {n: torch.tensor(np.array([r[n] for r in rows])) for n in names}
+    each, rest = encode(seen, agent, 2, observations=names)
     states = rng.normal(size=(9, 8)).astype(np.float32)
     scores, after = scored(arrays_of(policy, torch.device("cpu")), each, rest, torch.tensor(states))
     for n, row in enumerate(rows):
-        one, other = encoded(row, agent=agent, objects=2)
+        one, other = encoded(row, agent=agent, objects=2, observations=names)
         np.testing.assert_allclose(each[n], one, rtol=0, atol=1e-5)
         np.testing.assert_allclose(rest[n], other, rtol=0, atol=1e-5)
         wanted, state = policy(one, other, states[n])
@@ -102,11 +107,14 @@ class _Best(RecurrentChooser):
         return self.rows[-1][2]
 
 
-def test_decisions_are_those_of_the_cpu(episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("without", [(), ("humanoid_gps", "primitives")])
+def test_decisions_are_those_of_the_cpu(
+    episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch, without: tuple[str, ...]
+) -> None:
     rules = replace(SHORT, max_steps=110)
     monkeypatch.setattr(populations, "ORACLE_RULES", rules)
     monkeypatch.setattr(torch, "rand", lambda shape, **_: torch.full(shape, 0.5))  # the best has the best chance
-    policy = network(seed=5)
+    policy = network(seed=5, settings=replace(SMALL, without=without))
     played = TensorPlayers(episodes, "cpu").play(jobs_of(4, {ROBOT: policy}))
     agree = []
     for job, own in zip(jobs_of(4, {}), played, strict=True):
@@ -119,6 +127,7 @@ def test_decisions_are_those_of_the_cpu(episodes: Sequence[RearrangeEpisode], mo
         run(play, progress=lambda _, rewards=rewards, play=play: rewards.append(play.reward))
         mine, first = own.decisions[ROBOT], chooser.rows[:4]
         assert len(mine) > 4
+        assert not (mine.chosen[:, None] >= 9).any() or not without
         agree += [
             chosen == int(mine.chosen[k]) and may == tuple(mine.allowed[k].tolist())
             for k, (_, may, chosen) in enumerate(first)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -28,12 +29,19 @@ from h3data_training.populations.pool import draw_pool, episodes_of, pool_of, po
 from h3data_training.populations.run import CHECKPOINT, POLICY, train
 from h3data_training.populations.settings import NAMES, ROBOT, PopulationSettings
 from sim_kinematic.agents.skills import choices
-from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork, encoded, input_lengths, rest_count
+from sim_kinematic.policies.choosers.chooser_network import (
+    OBSERVATIONS,
+    OF_OTHER,
+    ChooserNetwork,
+    encoded,
+    input_lengths,
+    rest_count,
+)
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser, allowed
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, network_of
 from sim_kinematic.policies.pictured import save_pictured
 from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, robot_policy
-from sim_kinematic.policies.rearrange_observations import limits
+from sim_kinematic.policies.rearrange_observations import limits, observe
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
 from sim_kinematic.tasks.registry import find_task
@@ -149,14 +157,15 @@ def shown(agent: str, rng: np.random.Generator, objects: int = 2) -> dict[str, n
     return found
 
 
-@pytest.mark.parametrize("name", [ROBOT, "partner_0"])
-def test_it_gives_what_pytorch_gives(name: str) -> None:
+@pytest.mark.parametrize(("name", "without"), [(ROBOT, ()), (ROBOT, ("humanoid_gps",)), ("partner_0", ())])
+def test_it_gives_what_pytorch_gives(name: str, without: tuple[str, ...]) -> None:
     agent, rng = (ROBOT if name == ROBOT else "human"), np.random.default_rng(4)
-    learner = ChooserLearner(SMALL, name, seed=2)
+    learner = ChooserLearner(replace(SMALL, without=without), name, seed=2)
     with torch.no_grad():
         for parameter in learner.net.parameters():
             parameter.add_(torch.as_tensor(rng.normal(0, 0.3, parameter.shape), dtype=torch.float32))
-    network, inputs = learner.network(), [encoded(shown(agent, rng), agent=agent, objects=2) for _ in range(12)]
+    network, seen = learner.network(), learner.settings.observations_of(agent)
+    inputs = [encoded(shown(agent, rng), agent=agent, objects=2, observations=seen) for _ in range(12)]
     each, rest = (torch.as_tensor(np.array(column))[:, None] for column in zip(*inputs, strict=True))
     with torch.no_grad():
         expected = learner.net(each, rest, torch.zeros(1, 8))[:, 0].numpy()
@@ -164,7 +173,7 @@ def test_it_gives_what_pytorch_gives(name: str) -> None:
     for own in inputs:
         score, state = network(*own, state)
         scores.append(score)
-    assert (each.shape[-1], rest.shape[-1]) == input_lengths(agent)
+    assert (each.shape[-1], rest.shape[-1]) == input_lengths(agent, seen)
     np.testing.assert_allclose(scores, expected, atol=2e-5)
 
 
@@ -226,6 +235,95 @@ def test_a_score_cannot_buy_what_is_not_allowed(episodes: Sequence[RearrangeEpis
     ])  # fmt: skip
     assert policy.act(play.view(0)).skill not in ("pick", "place")
     assert policy.choices == choices(2, robot=True)
+
+
+# --- ablations ----------------------------------------------------------------------------------------------------------
+def moved_person(view: Any, rng: np.random.Generator) -> Any:
+    """The view with the person, and what they hold, somewhere else in the home."""
+    start = view.free.sample(rng, 1)[0]
+    objects = view.objects.copy()
+    objects[view.held_by == 1, 0], objects[view.held_by == 1, 2] = start
+    return view._replace(other_xz=start, other_track=np.roll(view.other_track, 3, 0) + 0.1, objects=objects)
+
+
+def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[RearrangeEpisode]) -> None:
+    rng, robot = np.random.default_rng(0), RecurrentChooser(chooser(without=("humanoid_gps",)))
+    assert robot.network.observations == tuple(n for n in OBSERVATIONS if n not in OF_OTHER)
+    inputs: dict[str, list[np.ndarray]] = {"blind": [], "seeing": []}
+    blind, seeing = robot.network.observations, OBSERVATIONS
+    play = RearrangePlay(replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
+        playing.AssignedPolicy(planner("still", 0), "still", "robot"),
+        playing.AssignedPolicy(planner("both", 0), "both", "human"),
+    ])  # fmt: skip
+    carried = 0
+
+    def compare(_: Any) -> None:
+        nonlocal carried
+        if play.steps % 40:
+            return
+        view = play.view(0)
+        other = moved_person(view, rng)
+        carried += bool((view.held_by == 1).any())
+        for name, seen in (("blind", blind), ("seeing", seeing)):
+            a, b = (
+                np.concatenate(
+                    [p.ravel() for p in encoded(observe(v, seen), agent=ROBOT, objects=2, observations=seen)]
+                )
+                for v in (view, other)
+            )
+            inputs[name].append(a - b)
+
+    run(play, progress=compare)
+    assert carried > 2
+    assert not np.any(inputs["blind"])
+    assert all(np.any(difference) for difference in inputs["seeing"])
+
+
+def test_without_primitives_none_is_chosen(episodes: Sequence[RearrangeEpisode]) -> None:
+    network = chooser(without=("primitives",))
+    rest = network.arrays["rest_1.bias"].copy()
+    rest[1:] = 1e6
+    assert network.offered.tolist() == [True] * 9 + [False] * 4
+    sure = {**network.arrays, "rest_1.bias": rest}
+    for own in (network, chooser()):
+        job = Job(1, 0, "both", {ROBOT: replace(own, arrays=sure)}, 0, 0.99)
+        chosen = playing.play_episode(job, episodes[0]).decisions[ROBOT]
+        assert (chosen.chosen >= 9).all() if own.card.primitives else (chosen.chosen < 9).all()
+        assert (chosen.allowed[:, 9:] == own.card.primitives).all()
+        assert np.isfinite(chosen.log_prob).all()
+
+
+@pytest.mark.parametrize("without", [("humanoid_gps",), ("primitives",), ("primitives", "humanoid_gps")])
+def test_an_ablation_is_kept_by_its_file(
+    without: tuple[str, ...], episodes: Sequence[RearrangeEpisode], tmp_path: Path
+) -> None:
+    settings = replace(SMALL, without=without, updates=1)
+    train(tmp_path, settings, workers=1, episodes=episodes)
+    robot, person = (network_of(f"weights:{tmp_path / n}") for n in (POLICY, "partner_0.npz"))
+    assert isinstance(robot, ChooserNetwork)
+    assert isinstance(person, ChooserNetwork)
+    assert robot.card.primitives == ("primitives" not in without)
+    assert ("other_gps_compass" in robot.observations) == ("humanoid_gps" not in without)
+    assert person.card.primitives
+    assert person.observations == OBSERVATIONS
+    assert tuple(robot.card.training["settings"]["without"]) == tuple(sorted(without))
+    if not robot.card.primitives:
+        assert robot.digest != replace(robot, card=msgspec.structs.replace(robot.card, primitives=True)).digest
+    with pytest.raises(InputError, match="has without="):
+        train(tmp_path, replace(settings, without=()), workers=1, episodes=episodes, resume=True)
+    card = msgspec.structs.replace(robot.card, observations=robot.observations[1:])
+    with pytest.raises(InputError, match=r"expected .*, or these without other_way_to_objects"):
+        ChooserNetwork(card=card, arrays=robot.arrays)
+
+
+def test_files_of_before_play_as_before() -> None:
+    """Their cards do not say anything of primitives, and their digests are those that recordings name."""
+    network = network_of("plan_pop_3_robot")
+    assert isinstance(network, ChooserNetwork)
+    assert network.card.primitives
+    assert network.offered.all()
+    assert network.observations == OBSERVATIONS
+    assert network.digest.startswith("6fc1c62be73f4cf0")
 
 
 # --- learning -----------------------------------------------------------------------------------------------------------
@@ -490,6 +588,7 @@ def test_trained_policies_come_with_the_package() -> None:
     [
         ({"population": "plan_pop_5"}, "Did you mean 'plan_pop_"),
         ({"walk": "moon"}, "one of: "),
+        ({"without": ("gps",)}, "Unknown ablation 'gps'"),
         ({"episodes": 0}, "episodes of at least 1"),
         ({"horizon": 1.0}, "horizon above 1"),
         ({"minutes": 0.0}, "minutes > 0"),
@@ -512,6 +611,8 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
         (["rearrange", "--population", "plan_pop"], "Did you mean"),
         (["rearrange", "--workers", "0"], "at least 1 worker"),
         (["social_nav", "--population", "learn_pop"], "--population"),
+        (["skill", "nav", "--without", "primitives"], "--without"),
+        (["rearrange", "--without", "legs"], "humanoid_gps"),
         (["wander"], "social_nav, rearrange or skill"),
     ):
         assert main(["train", *options, *out]) == 2

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sim_kinematic.policies.pictured import PicturedNetwork
 
 
-OF_REARRANGE = ("population", "workers", "episodes_file")
+OF_REARRANGE = ("population", "workers", "episodes_file", "without")
 """Options that only rearrange has,"""
 OF_SOCIAL_NAV = ("recipe", "observations", "hold", "init", "rollout", "minibatches", "follow_steps")
 """those that only social_nav and skills have, beside the number of GPUs,"""
@@ -45,6 +45,7 @@ class Train:
         h3data train social_nav --observations humanoid_detector,humanoid_gps --device cuda -o out/blind
         h3data train social_nav --recipe fast --dry-run -o out/nav
         h3data train rearrange --population plan_pop_3 --minutes 30 -o out/plan_pop_3
+        h3data train rearrange --population plan_pop_3 --without humanoid_gps -o out/no_gps
         h3data train rearrange --population learn_pop --workers 16 --updates 200 --resume -o out/learn_pop
         h3data train skill nav -o out/skills/nav
         h3data train skill pick --minutes 20 -o out/skills/pick
@@ -63,6 +64,9 @@ class Train:
     population: str | None = None
     """rearrange: who is beside the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to
     plan_pop_4: planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
+    without: tuple[Literal["humanoid_gps", "primitives"], ...] = ()
+    """rearrange: an ablation of the robot (repeatable). humanoid_gps: it is not shown where the person is; primitives: it
+    cannot choose the four primitives of navigation."""
     recipe: Literal["fast", "paper", "tiny"] | None = None
     """social_nav, settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one
     (pictures of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where
@@ -132,7 +136,7 @@ class Train:
                 f"Expected the task {TASKS}, got {self.task!r}: policies of other tasks cannot be trained yet."
             )
         others = NOT_OF_SKILLS if self.task == "skill" else OF_REARRANGE
-        if strangers := [f"--{n.replace('_', '-')}" for n in others if getattr(self, n) is not None]:
+        if strangers := [f"--{n.replace('_', '-')}" for n in others if getattr(self, n) not in (None, ())]:
             whose = "other tasks" if self.task == "skill" else "rearrange"
             raise InputError(f"Options of {whose}, not of {self.task}: {', '.join(strangers)}.")
         from h3data_training.ranks import torchrun_place
@@ -195,7 +199,7 @@ class Train:
 
         settings = PopulationSettings().changed(
             population=self.population, minutes=self.minutes, updates=self.updates, scenes=self.scenes, robot=self.robot,
-            walk=self.walk,
+            walk=self.walk, without=self.without,
         )  # fmt: skip
         if self.worlds is not None:
             settings = settings.in_worlds(self.worlds)

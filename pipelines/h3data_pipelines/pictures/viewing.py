@@ -1,5 +1,5 @@
-"""``h3data view``: one recording, or two side by side, as a Rerun file with a ready-made layout; or as an HTML file that
-plays from disk."""
+"""``h3data view``: one recording, or two side by side, as a Rerun file with a ready-made layout; as an HTML file that plays
+from disk; or as a strip of pictures."""
 
 from __future__ import annotations
 
@@ -26,11 +26,17 @@ if TYPE_CHECKING:
     from h3data_viewers import ShownRecording
 
 
+PICTURES = (".png", ".jpg")
+"""Endings of files with a strip."""
+
+
 @dataclass(frozen=True)
 class View:
     """Write a recording as a Rerun file or as one HTML file that plays from disk: 3-D scene, moving bodies, charts, events.
 
-    The HTML file needs no server, no network and no program but a browser: send it to somebody, or put it on a page.
+    The HTML file needs no server, no network and no program but a browser: send it to somebody, or put it on a page. A .png or
+    .jpg file is a strip: the moments of an episode of rearrangement (picks, places, where agents cross) side by side, each as
+    a picture and as a plan with the paths so far.
 
     Examples:
         h3data view out/demo/episode.mcap -o episode.rrd
@@ -38,6 +44,7 @@ class View:
         h3data view rec/session.mcap --assets ~/habitat
         h3data view ds#3 --camera robot_arm --camera third_person
         h3data view ds#3 --compare other#3
+        h3data view ds#3 -o strip.png
     """
 
     recording: tyro.conf.Positional[Path]
@@ -45,31 +52,47 @@ class View:
     compare: Path | None = None
     """Second recording, shown next to the first on the same timeline (.rrd only)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """.rrd or .html file to write (default: .rrd, next to the recording)."""
+    """.rrd, .html, .png or .jpg file to write (default: .rrd, next to the recording)."""
     camera: tuple[str, ...] = ()
     """Cameras to render at every fifth step: names as in rerender, or .toml or .json files (.rrd only)."""
     people: PeopleOption = "skin"
     light: LightOption = "baked"
-    """Of the cameras' pictures; the 3-D scene has none."""
+    """Of the cameras' pictures and of strips; the 3-D scene has none."""
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     open: bool = False
-    """Open the file when it is written: .rrd in Rerun, .html in the browser."""
+    """Open the file when it is written: .rrd in Rerun, others in the browser."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         form = ".rrd" if self.out is None else self.out.suffix.lower()
-        if form not in (".rrd", ".html"):
-            raise InputError(f"Expected a file name that ends in .rrd or .html, got: {self.out}")
-        return self._html() if form == ".html" else self._rrd()
+        if form not in (".rrd", ".html", *PICTURES):
+            raise InputError(f"Expected a file name that ends in .rrd, .html, .png or .jpg, got: {self.out}")
+        if form == ".rrd":
+            return self._rrd()
+        if self.compare is not None or self.camera:
+            option = "--compare" if self.compare is not None else "--camera"
+            raise InputError(f"{option} needs a Rerun file: give -o a name that ends in .rrd. Got: {self.out}")
+        return self._html() if form == ".html" else self._strip(form)
+
+    def _strip(self, form: str) -> Outcome:
+        from h3data.render.image_files import write_image
+        from h3data.replay.strip import episode_strip, moments_of
+
+        assert self.out is not None
+        recording = open_episode(self.recording)
+        out = claim_file(self.out, force=self.force, suffix=form)
+        replay = Replay(recording, assets=self.assets, people=self.people, light=self.light)
+        write_image(out, episode_strip(replay))
+        moments = moments_of(recording)
+        lines = [f"wrote {out}", *(f"  step {m.step}: {m.text}" for m in moments), *missing_lines(replay)]
+        told = [{"step": moment.step, "text": moment.text} for moment in moments]
+        return self._finished("picture", out, lines, replay.missing, moments=told)
 
     def _html(self) -> Outcome:
         from h3data_viewers.html_replay.html_file import write_html
 
-        if self.compare is not None or self.camera:
-            option = "--compare" if self.compare is not None else "--camera"
-            raise InputError(f"{option} needs a Rerun file: give -o a name that ends in .rrd. Got: {self.out}")
         assert self.out is not None
         recording = open_episode(self.recording)
         out = claim_file(self.out, force=self.force, suffix=".html")
@@ -125,7 +148,7 @@ class View:
 
 def _open(path: Path) -> str:
     """Opens a file in the program that shows it, and returns why that did not work, if it did not."""
-    if path.suffix.lower() == ".html":
+    if path.suffix.lower() in (".html", *PICTURES):
         opened = webbrowser.open(path.resolve().as_uri())
         return "" if opened else f"There is no browser to open it in. Hint: copy it to a machine with one: {path}"
     beside = Path(sys.executable).with_name("rerun")

@@ -16,7 +16,7 @@ from h3data_training.populations.networks import Chooser
 from h3data_training.populations.playing import Decisions
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from sim_kinematic.motion.randomness import episode_seed, generator
-from sim_kinematic.policies.choosers.chooser_network import KIND, OBSERVATIONS, ChooserNetwork
+from sim_kinematic.policies.choosers.chooser_network import KIND, ChooserNetwork
 from sim_kinematic.policies.pictured import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
@@ -40,19 +40,24 @@ def plan_at(settings: PopulationSettings, share: float, update: int) -> Plan:
 class ChooserLearner:
     """Actor, critic and optimizer of one agent."""
 
-    def __init__(self, settings: PopulationSettings, name: str, *, seed: int) -> None:
+    def __init__(
+        self, settings: PopulationSettings, name: str, *, seed: int, device: torch.device | str = "cpu"
+    ) -> None:
         self.settings, self.name, self.seed = settings, name, seed
         self.agent = ROBOT if name == ROBOT else "human"
         self.objects = RearrangeSpec.objects
         torch.manual_seed(episode_seed(seed, settings.learners.index(name)))  # initial weights
-        self.net = Chooser(settings, agent=self.agent, objects=self.objects)
+        self.device = torch.device(device)
+        self.net = Chooser(settings, agent=self.agent, objects=self.objects).to(self.device)
         self.optimizer = torch.optim.Adam(self.net.parameters(), settings.rate, eps=1e-5)
 
     def network(self, training: dict | None = None) -> ChooserNetwork:
         """The policy so far."""
+        s = self.settings
         card = PolicyCard(
-            task="rearrange", robot=self.settings.robot, observations=OBSERVATIONS, picture_size=None,
-            hold=self.settings.think_steps, network=KIND, agent=self.agent, objects=self.objects, training=training or {},
+            task="rearrange", robot=s.robot, observations=s.observations_of(self.agent), picture_size=None,
+            hold=s.think_steps, network=KIND, agent=self.agent, objects=self.objects,
+            primitives=self.agent != ROBOT or "primitives" not in s.without, training=training or {},
         )  # fmt: skip
         return ChooserNetwork(card=card, arrays=self.net.arrays())
 
@@ -63,7 +68,9 @@ class ChooserLearner:
             group["lr"] = plan.rate
         told = [self._told(partner, decisions) for partner, decisions in played]
         with torch.no_grad():
-            values = self.net.worth(torch.cat(told)).squeeze(-1).split([len(d) for _, d in played])
+            values = (
+                self.net.worth(torch.cat(told).to(self.device)).squeeze(-1).cpu().split([len(d) for _, d in played])
+            )
         advantages, targets = [], []
         for (_, decisions), value in zip(played, values, strict=True):
             advantage = _advantages(decisions, value.numpy(), scale=s.reward_scale, lam=s.gae_lambda)
@@ -76,14 +83,15 @@ class ChooserLearner:
             for (_, decisions), known, advantage, target in zip(played, told, advantages, targets, strict=True)
             for chunk in _chunks(decisions, known, (advantage - middle) / spread, target, length=s.chunk)
         ]
-        batch = {name: torch.stack([chunk[name] for chunk in chunks], 1) for name in chunks[0] if name != "state"}
-        states = torch.stack([chunk["state"] for chunk in chunks])
+        rows = {name: torch.stack([chunk[name] for chunk in chunks], 1) for name in chunks[0] if name != "state"}
+        batch = {name: tensor.to(self.device) for name, tensor in rows.items()}
+        states = torch.stack([chunk["state"] for chunk in chunks]).to(self.device)
         sums, count, moved = np.zeros(4), 0, 0.0
         for epoch in range(s.epochs):
             if moved > s.kl_most:
                 break
             rng = generator(self.seed, f"minibatches/{self.name}", step=update * s.epochs + epoch)
-            order = torch.as_tensor(rng.permutation(len(chunks)))
+            order = torch.as_tensor(rng.permutation(len(chunks)), device=self.device)
             parts = order.split(s.chunks_per_minibatch)
             means = [self._step({n: t[:, rows] for n, t in batch.items()}, states[rows], plan) for rows in parts]
             sums, count, moved = sums + sum(means), count + len(means), float(np.mean(means, 0)[2])

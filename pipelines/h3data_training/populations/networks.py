@@ -25,7 +25,8 @@ class Chooser(nn.Module):
 
     def __init__(self, settings: PopulationSettings, *, agent: str, objects: int) -> None:
         super().__init__()
-        s, (of_object, rest), others = settings, input_lengths(agent), rest_count(agent)
+        s, (of_object, rest) = settings, input_lengths(agent, settings.observations_of(agent))
+        others = rest_count(agent)
         self.objects, self.others = objects, others
         self.object = nn.Linear(of_object + objects, s.width)
         self.gru = nn.GRU(rest + objects * s.width, s.hidden)
@@ -62,4 +63,4 @@ class Chooser(nn.Module):
             named |= {f"{name}.weight": layer.weight, f"{name}.bias": layer.bias}
         for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
             named[f"gru.{name}"] = getattr(self.gru, f"{name}_l0")
-        return {name: tensor.detach().float().contiguous().numpy().copy() for name, tensor in named.items()}
+        return {name: tensor.detach().float().cpu().contiguous().numpy().copy() for name, tensor in named.items()}

@@ -169,6 +169,8 @@ _EPISODES: Sequence[RearrangeEpisode] = ()
 class Players:
     """Processes that play training episodes, or this one if there is one worker."""
 
+    device = "cpu"
+
     def __init__(
         self, episodes: Sequence[RearrangeEpisode], workers: int, *, say: Callable[[str], None] = lambda line: None
     ) -> None:

@@ -115,7 +115,9 @@ class _Run:
     ) -> None:  # fmt: skip
         self.folder, self.settings, self.seed, self.say = folder, settings, seed, say
         self.players, self._began = players, began
-        self.learners = {name: ChooserLearner(settings, name, seed=seed) for name in settings.learners}
+        self.learners = {
+            name: ChooserLearner(settings, name, seed=seed, device=players.device) for name in settings.learners
+        }
         self.curve: list[dict[str, float]] = []
         self.before_s = self.setups_s = 0.0
         if kept is not None:
@@ -271,7 +273,7 @@ class _Run:
             "population": self.settings.population, "seed": self.seed, "updates": len(self.curve),
             **{name: int(last.get(name, 0)) for name in ("episodes", "decisions", "steps")},
             "seconds": round(self.seconds, 1), "workers": self.players.workers,
-            "device": str(getattr(self.players, "device", "cpu")),
+            "device": str(self.learners[ROBOT].device),
             "torch": str(torch.__version__), "h3data": own, "settings": self.settings.as_dict(),
             "last_update": {name: round(last[name], 4) for name in shown if name in last},
         }  # fmt: skip

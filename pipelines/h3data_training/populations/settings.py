@@ -9,6 +9,7 @@ from typing import Any
 from h3data.errors import InputError, did_you_mean
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import WALKERS
+from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, WITHOUT_OTHER
 from sim_kinematic.policies.rearrange import POPULATIONS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
@@ -20,6 +21,9 @@ NAMES = ("learn_single", *POPULATIONS, "learn_pop")
 """The paper's populations."""
 LONGEST = {"paper": 750, "natural": 1500}
 """Length of an episode by how people walk: that of the paper, and ours, whose people walk at 1.3 m/s."""
+ABLATIONS = ("humanoid_gps", "primitives")
+"""What a robot can be trained without (paper, additional ablations): knowing where the person is; the primitives of
+navigation."""
 BOTH = "both"
 """People walk like this in one half of the episodes and like that in the other."""
 
@@ -45,6 +49,8 @@ class PopulationSettings:
     oracle: bool = False
     """Whether episodes have oracle skills, and are played in worlds on a device, all of an update at once
     (`h3data_training.populations.worlds`). They have the paper's people, whoever they were drawn for."""
+    without: tuple[str, ...] = ()
+    """Some of `ABLATIONS`, of the robot alone."""
     think_steps: int = 30
     """A learner on its way thinks again after so many steps."""
 
@@ -88,6 +94,12 @@ class PopulationSettings:
             )
         if self.walk not in (*LONGEST, BOTH):
             raise InputError(f"Unknown walk {self.walk!r}. Expected one of: {', '.join((*LONGEST, BOTH))}.")
+        if strangers := [name for name in self.without if name not in ABLATIONS]:
+            raise InputError(
+                f"Unknown ablation {strangers[0]!r}.{did_you_mean(strangers[0], ABLATIONS)} Expected some of: "
+                f"{', '.join(ABLATIONS)}."
+            )
+        object.__setattr__(self, "without", tuple(name for name in ABLATIONS if name in self.without))
         whole = (
             "episodes_per_home", "think_steps", "episodes", "hidden", "width", "chunk", "epochs", "chunks_per_minibatch",
         )  # fmt: skip
@@ -117,6 +129,10 @@ class PopulationSettings:
     def learners(self) -> tuple[str, ...]:
         """Who learns: the robot, and partners that are not planners."""
         return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
+
+    def observations_of(self, agent: str) -> tuple[str, ...]:
+        """Observations of a learner, the ``robot`` or a ``human``."""
+        return WITHOUT_OTHER if agent == ROBOT and "humanoid_gps" in self.without else OBSERVATIONS
 
     def partner_of(self, seed: int, episode: int) -> str:
         """The partner in a training episode: in every P consecutive ones each of P partners once, in random order."""

@@ -6,6 +6,7 @@ What an update plays follows from the weights, the seed, and the numbers of its 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -22,11 +23,13 @@ from sim_kinematic.policies.choosers.chooser_network import (
     OBSERVATIONS,
     SKILLS_WITH_OBJECT,
     ChooserNetwork,
+    hides,
     rest_count,
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import CLOSE_STEPS
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
+from sim_kinematic.torch.graph import captured
 from sim_kinematic.torch.rearrange.bank import RearrangeBank, orders
 from sim_kinematic.torch.rearrange.observations import View, observed
 from sim_kinematic.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLACE, every_choice, of_object
@@ -50,6 +53,7 @@ class TensorPlayers:
         """
         self._bank = RearrangeBank.of([replace(episode, spec=ORACLE_RULES) for episode in episodes])
         self.device = torch.device(device)
+        self._worlds: _Worlds | None = None
 
     @property
     def size(self) -> int:
@@ -61,35 +65,80 @@ class TensorPlayers:
 
     def play(self, jobs: Sequence[Job]) -> list[Played]:
         """Plays some episodes, in their order, all at once."""
+        casts = _casts(jobs)
         with torch.no_grad():
-            return _played(self._bank, jobs, self.device)
+            if self._worlds is None or self._worlds.casts != casts:
+                self._worlds = None  # their memory first
+                self._worlds = _Worlds(self._bank, casts, self.device)
+            return self._worlds.played(jobs)
 
     def close(self) -> None:
         """Nothing needs closing."""
 
 
-def _played(bank: RearrangeBank, jobs: Sequence[Job], device: torch.device) -> list[Played]:
-    learned = jobs[0].partner in jobs[0].networks
-    sim = RearrangeTensors(
-        bank, device=device, planners=() if learned else ("human",), interrupts="always", repeats=False
-    )  # fmt: skip
-    entries = torch.tensor([job.entry for job in jobs], device=device)
-    play = sim.start(sim.before_the_first(entries - 1))
-    dice = torch.Generator(device).manual_seed(episode_seed(jobs[0].seed, jobs[0].number) % 2**63)
-    choosers = [_Chooser(sim, [ROBOT] * len(jobs), jobs, ROBOT, dice)]
-    if learned:
-        choosers.append(_Chooser(sim, [job.partner for job in jobs], jobs, "human", dice))
-    else:
-        play = play._replace(human_does=play.human_does._replace(order=_orders(jobs, bank.objects, device)))
-    nothing = torch.full((len(jobs),), FREE, dtype=torch.int64, device=device)
-    rewards = []
-    for step in range(bank.spec.max_steps):
-        chosen = [chooser.choose(play) for chooser in choosers]
-        play = sim.step(play, chosen[0], chosen[1] if learned else nothing)
-        rewards.append(play.reward)
-        if step % LOOKS_EVERY == 0 and bool(play.ended.all()):
-            break
-    return _results(sim, play, jobs, choosers, torch.stack(rewards, 1).double().cpu().numpy())
+Casts = tuple[tuple[tuple[str, int], ...], ...]
+
+
+def _casts(jobs: Sequence[Job]) -> Casts:
+    """The learners that play the robot, and the person if that is one: names, and in how many worlds."""
+    people = [job.partner for job in jobs if job.partner in job.networks]
+    assert len(people) in (0, len(jobs))
+    return tuple(tuple(sorted(Counter(names).items())) for names in ([ROBOT] * len(jobs), people) if names)
+
+
+class _Worlds:
+    """Worlds in which one update after the other is played, in the same places in memory: on a GPU a step is one CUDA graph."""
+
+    def __init__(self, bank: RearrangeBank, casts: Casts, device: torch.device) -> None:
+        self.casts = casts
+        count, self._longest = sum(n for _, n in casts[0]), bank.spec.max_steps
+        planners = () if len(casts) > 1 else ("human",)
+        self._sim = RearrangeTensors(bank, device=device, planners=planners, interrupts="always", repeats=False)
+        self._play = self._sim.before_the_first(torch.zeros(count, dtype=torch.int64))
+        self._choosers = [
+            _Chooser(self._sim, cast, agent) for cast, agent in zip(casts, (ROBOT, "human"), strict=False)
+        ]
+        self._nothing = torch.full((count,), FREE, dtype=torch.int64, device=device)
+        self._step = torch.zeros(1, dtype=torch.int64, device=device)
+        self._rewards = torch.zeros(self._longest, count, dtype=self._sim.dtype, device=device)
+        self._advance = self._eager
+
+    def played(self, jobs: Sequence[Job]) -> list[Played]:
+        """Some episodes, in their order."""
+        device, seed = self._sim.device, episode_seed(jobs[0].seed, jobs[0].number) % 2**63
+        entries = torch.tensor([job.entry for job in jobs], device=device)
+        fresh = self._sim.start(self._sim.before_the_first(entries - 1))
+        if len(self._choosers) == 1:
+            orders_ = _orders(jobs, self._sim.bank.objects, device)
+            fresh = fresh._replace(human_does=fresh.human_does._replace(order=orders_))
+        self._put(fresh)
+        self._step.zero_()
+        dice = torch.Generator(device).manual_seed(seed)
+        for chooser, names in zip(self._choosers, ([ROBOT] * len(jobs), [job.partner for job in jobs]), strict=False):
+            chooser.begin(jobs, names, dice, steps=self._longest)
+        if device.type == "cuda" and self._advance == self._eager:
+            changed = [t for chooser in self._choosers for t in chooser.remembered]
+            self._advance = captured(self._eager, [*self._play.tensors(), *changed, self._step])
+        steps = 0
+        while steps < self._longest:
+            self._advance()
+            steps += 1
+            if steps % LOOKS_EVERY == 1 and bool(self._play.ended.all()):
+                break
+        rewards = self._rewards[:steps].T.double().cpu().numpy()
+        return _results(self._sim, self._play, jobs, self._choosers, rewards)
+
+    def _eager(self) -> None:
+        """One step of all worlds, in place."""
+        chosen = [chooser.choose(self._play, self._step) for chooser in self._choosers]
+        after = self._sim.step(self._play, chosen[0], chosen[1] if len(chosen) > 1 else self._nothing)
+        self._put(after)
+        self._rewards.index_copy_(0, self._step, after.reward[None])
+        self._step.add_(1)
+
+    def _put(self, play: Play) -> None:
+        for tensor, value in zip(self._play.tensors(), play.tensors(), strict=True):
+            tensor.copy_(value)
 
 
 def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
@@ -135,40 +184,70 @@ class _Row(NamedTuple):
 class _Chooser:
     """The choosers of one agent of all worlds, one network for each name."""
 
-    def __init__(
-        self, sim: RearrangeTensors, names: Sequence[str], jobs: Sequence[Job], agent: str, dice: torch.Generator
-    ) -> None:
-        self.names, self._sim, self._agent, self._dice = list(names), sim, agent, dice
-        device = sim.device
-        self._parts: list[tuple[Tensor, Arrays]] = []
-        for name in dict.fromkeys(names):
-            rows = [w for w, own in enumerate(names) if own == name]
-            network = jobs[rows[0]].networks[name]
-            self._parts.append((torch.tensor(rows, device=device), arrays_of(network, device)))
-        self._hold = jobs[0].networks[self.names[0]].card.hold
-        hidden = self._parts[0][1]["gru.weight_hh"].shape[1]
-        self._state = torch.zeros(len(names), hidden, device=device)
-        self._thought = torch.zeros(len(names), dtype=torch.int64, device=device)
-        self._rows: list[_Row] = []
+    def __init__(self, sim: RearrangeTensors, cast: Sequence[tuple[str, int]], agent: str) -> None:
+        """``cast`` are names and in how many worlds each plays."""
+        self.names: list[str] = []
+        self._sim, self._agent = sim, agent
+        self._rows = {name: torch.zeros(n, dtype=torch.int64, device=sim.device) for name, n in cast}
+        self._arrays: dict[str, Arrays] = {}
+        self._kept: dict[str, Tensor] = {}
+        """Rows of all steps, [T, W, ...] each."""
+        worlds = sum(n for _, n in cast)
+        self._state = torch.zeros(worlds, 0, device=sim.device)
+        self._thought = torch.zeros(worlds, dtype=torch.int64, device=sim.device)
+        self._noise = torch.zeros(0, device=sim.device)
 
-    def choose(self, play: Play) -> Tensor:
-        """Choices [W]; -1 of those that are not asked."""
+    @property
+    def remembered(self) -> list[Tensor]:
+        """Tensors that a step changes."""
+        return [self._state, self._thought]
+
+    def begin(self, jobs: Sequence[Job], names: Sequence[str], dice: torch.Generator, *, steps: int) -> None:
+        """New episodes of so many steps at most, with the networks of today in the worlds whose ``names`` they have."""
+        device, self.names = self._sim.device, list(names)
+        first = jobs[0].networks[self.names[0]]  # learners of one agent differ in their weights only
+        self._hold, self._observations = first.card.hold, first.card.observations
+        shape = steps, len(names), len(self._sim.choices(self._agent))
+        noise = torch.rand(shape, generator=dice, device=device)
+        if not self._arrays:
+            self._offered = torch.as_tensor(first.offered, device=device)
+            self._state = torch.zeros(len(names), first.arrays["gru.weight_hh"].shape[1], device=device)
+            self._noise = torch.zeros_like(noise)
+        for name, rows in self._rows.items():
+            own = [w for w, who in enumerate(names) if who == name]
+            rows.copy_(torch.tensor(own, device=device))
+            fresh = arrays_of(jobs[own[0]].networks[name], device)
+            for key, array in self._arrays.setdefault(name, fresh).items():
+                array.copy_(fresh[key])
+        self._noise.copy_(noise.clamp_min(1e-12))
+        self._state.zero_()
+        self._thought.zero_()
+
+    def choose(self, play: Play, step: Tensor) -> Tensor:
+        """Choices [W] in a step, whose number is ``step`` [1]; -1 of those that are not asked."""
         view = View.of(self._sim, play, self._agent)
         asked, view = self._asked(view)
-        each, rest = encode(observed(view, OBSERVATIONS), self._agent, self._sim.bank.objects)
+        names = self._observations
+        each, rest = encode(observed(view, names), self._agent, self._sim.bank.objects, observations=names)
         scores, state = torch.zeros(*view.xz.shape[:1], len(view.choices), device=each.device), self._state
-        for rows, arrays in self._parts:
-            own, after = scored(arrays, each[rows], rest[rows], self._state[rows])
+        for name, rows in self._rows.items():
+            own, after = scored(self._arrays[name], each[rows], rest[rows], self._state[rows])
             scores, state = scores.index_copy(0, rows, own), state.index_copy(0, rows, after)
-        may = allowed(view)
+        may = allowed(view) & self._offered
         log_probs = scores.masked_fill(~may, -torch.inf).log_softmax(-1)
-        noise = torch.rand(scores.shape, generator=self._dice, device=scores.device).clamp_min(1e-12)
+        noise = self._noise.index_select(0, step)[0]
         chosen = (log_probs - (-noise.log()).log()).argmax(-1)
         log_prob = log_probs.gather(1, chosen[:, None])[:, 0]
-        self._rows.append(_Row(each, rest, self._state, may, chosen, log_prob, asked))
-        self._state = torch.where(asked[:, None], state, self._state)
-        self._thought = torch.where(asked, play.steps, self._thought)
+        self._keep(_Row(each, rest, self._state, may, chosen, log_prob, asked), step)
+        self._state.copy_(torch.where(asked[:, None], state, self._state))
+        self._thought.copy_(torch.where(asked, play.steps, self._thought))
         return torch.where(asked, chosen, FREE)
+
+    def _keep(self, row: _Row, step: Tensor) -> None:
+        for name, value in row._asdict().items():
+            if name not in self._kept:
+                self._kept[name] = torch.zeros(len(self._noise), *value.shape, dtype=value.dtype, device=value.device)
+            self._kept[name].index_copy_(0, step, value[None])
 
     def _asked(self, view: View) -> tuple[Tensor, View]:
         """Agents that choose now (`RecurrentChooser.interrupts`), bool [W], and the view of those who are interrupted."""
@@ -186,18 +265,17 @@ class _Chooser:
 
     def decisions(self, rewards: np.ndarray, steps: Sequence[int], gamma: float) -> list[Decisions]:
         """Those of each world; ``rewards`` are [W, T], of which each world has played some ``steps``."""
-        columns = {
-            name: torch.stack(column, 1).cpu().numpy()
-            for name, column in zip(_Row._fields, zip(*self._rows, strict=True), strict=True)
-        }
-        asked = columns.pop("asked")
+        world, when = self._kept["asked"][: rewards.shape[1]].T.nonzero().unbind(1)  # one world after the other
+        columns = {name: t[when, world].cpu().numpy() for name, t in self._kept.items() if name != "asked"}
+        ends = np.cumsum(np.bincount(world.cpu().numpy(), minlength=len(steps)))
+        times = np.split(when.cpu().numpy(), ends[:-1])
+        parts = {name: np.split(column, ends[:-1]) for name, column in columns.items()}
         found = []
         for w, count in enumerate(steps):
-            rows = np.flatnonzero(asked[w])
-            gains, spans = discounted(rewards[w, :count], rows.tolist(), gamma)
+            gains, spans = discounted(rewards[w, :count], times[w].tolist(), gamma)
             found.append(
                 Decisions(
-                    **{name: column[w, rows] for name, column in columns.items()},
+                    **{name: part[w] for name, part in parts.items()},
                     gain=gains.astype(np.float32),
                     discount=np.append(gamma ** spans[:-1], 0.0).astype(np.float32),
                 )
@@ -211,16 +289,20 @@ def arrays_of(network: ChooserNetwork, device: torch.device) -> Arrays:
     return {name: torch.as_tensor(np.array(array, order="C"), device=device) for name, array in network.arrays.items()}
 
 
-def encode(shown: Mapping[str, Tensor], agent: str, objects: int) -> tuple[Tensor, Tensor]:
+def encode(
+    shown: Mapping[str, Tensor], agent: str, objects: int, *, observations: tuple[str, ...] = OBSERVATIONS
+) -> tuple[Tensor, Tensor]:
     """Inputs of each object [W, K, F] and the rest [W, R] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
     each, rest, own = [], [], SKILLS_WITH_OBJECT * objects
-    for name in OBSERVATIONS:
+    for name in observations:
         encoding, seen = ENCODINGS.get(name), shown[name]
         if encoding is None:
             each.append(seen[:, :own].reshape(-1, SKILLS_WITH_OBJECT, objects).transpose(1, 2))
             rest.append(seen[:, own:])
         elif encoding.is_of_objects:
             each.append(_inputs(name, seen.reshape(-1, objects, encoding.given)))
+            if hides(name, observations):
+                each[-1] = each[-1] * (1 - shown["held_by_other"])[..., None]
         else:
             rest.append(_inputs(name, seen))
     assert rest[-1].shape[1] == rest_count(agent)

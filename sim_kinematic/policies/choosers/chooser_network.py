@@ -31,6 +31,13 @@ OBSERVATIONS = (
     "last_failed", "interrupted",
 )  # fmt: skip
 """What a chooser is shown, in this order (`sim_kinematic.policies.rearrange_observations.SENSES`)."""
+OF_OTHER = ("other_way_to_objects", "other_way_to_goals", "other_approach", "other_gps_compass", "close")
+"""Observations that tell where the other agent is."""
+WITHOUT_OTHER = tuple(name for name in OBSERVATIONS if name not in OF_OTHER)
+"""Observations of a chooser without the paper's humanoid GPS."""
+PLACES = ("obj_gps_compass", "way_to_objects")
+"""Observations that tell where objects are. What the other agent holds is where that agent is, so a chooser without the GPS
+gets zeros there."""
 
 
 class Encoding(NamedTuple):
@@ -74,15 +81,18 @@ def rest_count(agent: str) -> int:
     return 1 + (len(PRIMITIVES) if agent == "robot" else 0)
 
 
-def input_lengths(agent: str) -> tuple[int, int]:
+def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> tuple[int, int]:
     """Lengths of the inputs of one object, without its number, and of the rest."""
-    of_object = sum(e.length for e in ENCODINGS.values() if e.is_of_objects)
-    rest = sum(e.length for e in ENCODINGS.values() if not e.is_of_objects)
-    choosing = sum(name not in ENCODINGS for name in OBSERVATIONS)
+    encodings = [ENCODINGS[name] for name in observations if name in ENCODINGS]
+    of_object = sum(e.length for e in encodings if e.is_of_objects)
+    rest = sum(e.length for e in encodings if not e.is_of_objects)
+    choosing = len(observations) - len(encodings)
     return of_object + choosing * SKILLS_WITH_OBJECT, rest + choosing * rest_count(agent)
 
 
-def encoded(shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int) -> tuple[Floats, Floats]:
+def encoded(
+    shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int, observations: tuple[str, ...] = OBSERVATIONS
+) -> tuple[Floats, Floats]:
     """Inputs of each object [K, F] and the rest [R], float32, from observations by name; the last columns of both tell which
     choice has been interrupted.
 
@@ -90,7 +100,7 @@ def encoded(shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int) -> t
         InputError: an observation is missing or has another length.
     """
     each, rest = [], []
-    for name in OBSERVATIONS:
+    for name in observations:
         encoding = ENCODINGS.get(name)
         own = SKILLS_WITH_OBJECT * objects
         length = (
@@ -104,9 +114,16 @@ def encoded(shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int) -> t
             rest.append(seen[own:])
         elif encoding.is_of_objects:
             each.append(encoding.of(seen.reshape(objects, encoding.given)))
+            if hides(name, observations):
+                each[-1] = each[-1] * (1 - np.asarray(shown["held_by_other"], np.float32))[:, None]
         else:
             rest.append(encoding.of(seen[None])[0])
     return np.concatenate(each, 1).astype(np.float32), np.concatenate(rest).astype(np.float32)
+
+
+def hides(name: str, observations: tuple[str, ...]) -> bool:
+    """Whether inputs of an observation are 0 for what the other agent holds."""
+    return name in PLACES and "other_gps_compass" not in observations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,7 +159,15 @@ class ChooserNetwork:
         """SHA-256 of all that decides what it does."""
         card = self.card
         about = (card.task, card.network, card.agent, card.objects, card.observations, card.hold)
-        return digest_of(about, self.arrays)
+        return digest_of(about if card.primitives else (*about, "without primitives"), self.arrays)
+
+    @cached_property
+    def offered(self) -> NDArray[np.bool_]:
+        """Which choices the policy has at all, [C]."""
+        found = np.ones(self.outputs, np.bool_)
+        if not self.card.primitives:
+            found[SKILLS_WITH_OBJECT * self.card.objects + 1 :] = False  # after ``wait``
+        return found
 
     def start(self) -> Floats:
         """The recurrent state at the start of an episode, [H]."""
@@ -189,7 +214,7 @@ def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[in
     def width(name: str) -> int:
         return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0
 
-    of_object, rest = input_lengths(card.agent)
+    of_object, rest = input_lengths(card.agent, card.observations)
     wide, hidden = width("object.weight"), width("gru.weight_ih") // 3
     each, other = width("each_0.weight"), width("rest_0.weight")
     layers = {
@@ -210,8 +235,11 @@ def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
         return [f"unknown network {card.network!r}, expected {KIND}"]
     if card.agent not in ("robot", "human"):
         return [f"it is for the agent {card.agent!r}, expected robot or human"]
-    if card.observations != OBSERVATIONS:
-        return [f"it is shown {', '.join(card.observations) or 'nothing'}, expected {', '.join(OBSERVATIONS)}"]
+    if card.observations not in (OBSERVATIONS, WITHOUT_OTHER):
+        return [
+            f"it is shown {', '.join(card.observations) or 'nothing'}, expected {', '.join(OBSERVATIONS)}, or these without "
+            f"{', '.join(OF_OTHER)}"
+        ]
     if not 1 <= card.objects <= 16:
         return [f"it knows {card.objects} objects, expected 1 to 16"]
     if not 1 <= card.hold <= 3000:

@@ -11,7 +11,7 @@ from h3data.errors import FormatError
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, ChooserNetwork, Floats, encoded
+from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork, Floats, encoded
 from sim_kinematic.policies.rearrange_observations import observe
 from sim_kinematic.policies.views import RearrangeView
 
@@ -63,11 +63,13 @@ class RecurrentChooser:
 
     def act(self, view: RearrangeView) -> Action:
         """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""
-        shown = observe(view, OBSERVATIONS)
-        each, rest = encoded(shown, agent=self.network.card.agent, objects=self.network.card.objects)
+        card = self.network.card
+        shown = observe(view, card.observations)
+        each, rest = encoded(shown, agent=card.agent, objects=card.objects, observations=card.observations)
         scores, state = self.network(each, rest, self.state)
         self._times = self._times + 1 if view.step == self._thought else 0  # several choices may be made in one step
-        number = self.choose(view, each, rest, np.where(allowed(view, self.choices), scores, -np.inf))
+        may = allowed(view, self.choices) & self.network.offered
+        number = self.choose(view, each, rest, np.where(may, scores, -np.inf))
         self.state, self._thought = state, view.step
         return self.choices[number]
 

@@ -1,0 +1,195 @@
+"""Strips: the moments of an episode of rearrangement side by side, each as a picture and as a plan with the paths so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.geometry import Array
+from h3data.recording import Recording
+from h3data.render.camera import Camera
+from h3data.render.overlay import draw_circle, draw_polyline
+from h3data.replay.cameras import camera_at
+from h3data.replay.records import CameraTrack
+from h3data.replay.replay import Replay
+
+MOST = 8
+"""Moments in a strip; of more, the first and the last ones are shown."""
+MOVES_MPS, OVER_S = 0.2, 0.5
+"""An agent moves where it is faster than this over the given time before and after."""
+PASSING_M = 4.0
+"""Agents that never come nearer while they move do not cross."""
+COLORS = ((214, 92, 20), (30, 96, 200), (40, 150, 90), (160, 60, 170))
+"""Paths of the agents, by number."""
+PAPER, INK, RIM = (250, 250, 248), (30, 30, 36), (255, 255, 255)
+WIDTH_PX, VIEW_PX, PLAN_PX = 360, 270, 320
+"""Size of a panel: its width, the height of its picture, and the largest height of its plan."""
+LABEL_PX, GAP_PX = 46, 8
+SAID = {"pick": "picks", "place": "places"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """Something that a strip shows."""
+
+    step: int
+    text: str
+    """Who does what: ``robot picks mug_0``."""
+    agents: tuple[int, ...]
+    """Numbers of those who do it; the camera follows the first."""
+
+
+def moments_of(recording: Recording) -> list[Moment]:
+    """Every pick and place of an episode, and where two agents cross, in the order of time."""
+    found = [
+        Moment(step=e.step, text=f"{_name(recording, e.agent)} {SAID[e.kind]} {e.target}", agents=(e.agent,))
+        for e in recording.events
+        if e.kind in SAID and e.agent >= 0
+    ]
+    crossing = crossing_of(recording)
+    if crossing is not None:
+        found.append(crossing)
+    found.sort(key=lambda moment: moment.step)
+    return found if len(found) <= MOST else found[: MOST // 2] + found[-MOST // 2 :]
+
+
+def crossing_of(recording: Recording) -> Moment | None:
+    """Where two agents are nearest to each other while both move; None if they are never within `PASSING_M` then."""
+    positions = [_positions(recording, k)[:, [0, 2]] for k in range(len(recording.agents))]
+    moves = [_moves(xz, recording.episode.dt_ns / 1e9) for xz in positions]
+    nearest: list[tuple[float, int, int, int]] = []
+    for a, b in combinations(range(len(positions)), 2):
+        apart = np.linalg.norm(positions[a] - positions[b], axis=1)
+        apart[~(moves[a] & moves[b])] = np.inf
+        if len(apart):
+            step = int(np.argmin(apart))
+            nearest.append((float(apart[step]), step, a, b))
+    distance, step, a, b = min(nearest, default=(np.inf, 0, 0, 0))
+    if distance > PASSING_M:
+        return None
+    names = f"{_name(recording, a)} and {_name(recording, b)}"
+    return Moment(step=step, text=f"{names} cross, {distance:.1f} m", agents=(a, b))
+
+
+def episode_strip(replay: Replay) -> NDArray[np.uint8]:
+    """The moments of a recorded episode side by side, RGB [H, W, 3].
+
+    Above each is its time and who does what, in the middle the view of a camera that follows the agent, below the plan with
+    the paths of all agents until then.
+
+    Raises:
+        InputError: nothing was picked or placed, or no scene was recorded.
+    """
+    moments = moments_of(replay.recording)
+    if not moments:
+        raise InputError(
+            "Expected an episode in which something is picked or placed, or two agents cross: there is none."
+        )
+    if replay.scene is None:
+        raise InputError("A strip needs the scene, and this recording has none.")
+    plan, camera = _plan(replay)
+    paths = [_positions(replay.recording, k) for k in range(len(replay.recording.agents))]
+    panels = []
+    for moment in moments:
+        drawn = plan.copy()
+        for k, path in enumerate(paths):
+            draw_polyline(drawn, camera, path[: moment.step + 1], COLORS[k % len(COLORS)], 2)
+        for k, path in enumerate(paths):
+            if np.isfinite(path[moment.step]).all():
+                draw_circle(drawn, camera, path[moment.step], RIM, radius_px=8)
+                draw_circle(drawn, camera, path[moment.step], COLORS[k % len(COLORS)], radius_px=6)
+                if k in moment.agents:
+                    draw_circle(drawn, camera, path[moment.step], INK, radius_px=11, thickness=2)
+        seconds = moment.step * replay.recording.episode.dt_ns / 1e9
+        panels.append(np.concatenate([_label(f"{seconds:.1f} s", moment.text), _view(replay, moment), _fitted(drawn)]))
+    gap = np.full((panels[0].shape[0], GAP_PX, 3), PAPER, np.uint8)
+    row = [part for panel in panels for part in (panel, gap)][:-1]
+    strip = np.concatenate(row, axis=1)
+    return np.concatenate([strip, _key(replay.recording, strip.shape[1])])
+
+
+# --- parts of a panel ---------------------------------------------------------------------------------------------------
+def _plan(replay: Replay) -> tuple[NDArray[np.uint8], Camera]:
+    """The plan, pale so that paths stand out, at most as wide as a panel; and its camera."""
+    from h3data.render.sheets.scene_map import plan_picture
+
+    scene = replay.scene
+    assert scene is not None
+    floor_y = scene.rooms[0].floor_y if scene.rooms else float(scene.bounds[0][1])
+    low, high = scene.bounds
+    if scene.rooms:
+        rectangles = np.concatenate([np.asarray(r.rectangles, np.float64) for r in scene.rooms])
+        span = rectangles[:, 2:].max(0) - rectangles[:, :2].min(0)
+    else:
+        span = (high - low)[[0, 2]]
+    across, deep = np.maximum(span, 1.0) + 1.1  # the plan has a margin
+    image, camera = plan_picture(scene, pixels_per_m=float(min(WIDTH_PX / across, PLAN_PX / deep)), floor_y=floor_y)
+    grey = image.mean(-1, keepdims=True)
+    return np.ascontiguousarray((0.40 * image + 0.15 * grey + 0.45 * 255).astype(np.uint8)), camera
+
+
+def _view(replay: Replay, moment: Moment) -> NDArray[np.uint8]:
+    leader = replay.recording.agents[moment.agents[0]].name
+    camera = camera_at(replay, f"{leader}/third_person", moment.step).resized(WIDTH_PX, VIEW_PX)
+    track = CameraTrack(camera=camera, poses=camera.pose[None])
+    return next(iter(replay.frames([track], [moment.step], samples=4)))[1][0]["rgb"]
+
+
+def _fitted(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A plan as wide as a panel, with a gap above it."""
+    out = np.full((GAP_PX + image.shape[0], WIDTH_PX, 3), PAPER, np.uint8)
+    width = min(image.shape[1], WIDTH_PX)
+    left = (WIDTH_PX - width) // 2
+    out[GAP_PX:, left : left + width] = image[:, :width]
+    return out
+
+
+def _label(time: str, text: str) -> NDArray[np.uint8]:
+    out = np.full((LABEL_PX, WIDTH_PX, 3), PAPER, np.uint8)
+    _write(out, time, (4, 17), 0.5)
+    _write(out, text, (4, 37), 0.5)
+    return out
+
+
+def _key(recording: Recording, width: int) -> NDArray[np.uint8]:
+    """Who has which colour."""
+    import cv2
+
+    out, at = np.full((30, width, 3), PAPER, np.uint8), 10
+    for k in range(len(recording.agents)):
+        cv2.line(out, (at, 15), (at + 24, 15), COLORS[k % len(COLORS)], 3, cv2.LINE_AA)
+        at += 32 + _write(out, _name(recording, k), (at + 32, 20), 0.45) + 20
+    return out
+
+
+def _write(image: NDArray[np.uint8], text: str, at: tuple[int, int], scale: float) -> int:
+    """Writes text with its baseline at a pixel, smaller where it would not fit; returns its width."""
+    import cv2
+
+    (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    scale *= min(1.0, (image.shape[1] - at[0] - 2) / max(wide, 1))
+    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, INK, 1, cv2.LINE_AA)
+    return wide
+
+
+# --- agents -------------------------------------------------------------------------------------------------------------
+def _name(recording: Recording, agent: int) -> str:
+    name = recording.agents[agent].name
+    return "person" if name == "human" else name
+
+
+def _positions(recording: Recording, agent: int) -> Array:
+    """Places of an agent, [T, 3] [m]."""
+    return recording.agent_column(agent, "base_pose")[:, :3].astype(np.float64)
+
+
+def _moves(xz: Array, dt: float) -> NDArray[np.bool_]:
+    """Whether an agent moves, [T], by its displacement [T, 2] around each step; ``dt`` [s] is the time of a step."""
+    steps, reach = np.arange(len(xz)), max(round(OVER_S / dt), 1)
+    before, after = np.maximum(steps - reach, 0), np.minimum(steps + reach, len(xz) - 1)
+    moved = np.linalg.norm(xz[after] - xz[before], axis=1)
+    return moved > MOVES_MPS * np.maximum(after - before, 1) * dt
