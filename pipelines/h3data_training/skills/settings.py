@@ -93,7 +93,7 @@ _TINY = SkillSettings(
 _ARM = replace(_TINY, skill="pick", observations=OF_THE_ARM, path_m=(0.0, 5.0), near_share=0.5)
 _FAST = SkillSettings(
     episodes_per_home=8, starts=24, limit=600, observations=("arm_depth", "target_gps_compass"), std=0.4, entropy=0.0,
-    horizon=(100.0, 300.0), teacher=3.0, teacher_end=0.5, minutes=6.0,
+    horizon=(100.0, 300.0), teacher=3.0, minutes=6.0,
 )  # fmt: skip
 _FAST_ARM = replace(
     _FAST, skill="pick", observations=("arm_depth", "target_sensor", "resting_sensor", "arm_joints", "is_holding"),
