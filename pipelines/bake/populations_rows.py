@@ -117,7 +117,7 @@ def crossed_interval(values: NDArray[np.float64], *, binary: bool) -> tuple[floa
     """
     defined = ~np.isnan(values)
     if not defined.any():
-        return (float("nan"),) * 3
+        return float("nan"), float("nan"), float("nan")
     mean = float(values[defined].mean())
     if binary and mean in (0.0, 1.0):
         trials = int(defined.any(0).sum())

@@ -227,7 +227,7 @@ BAD = {
     "misspelt set": (["scenes", "list", "h3-homes/tset"], "Did you mean 'h3-homes/test'?"),
     "misspelt body": (["bodies", "show", "femal_0"], "Did you mean 'female_0'?"),
     "misspelt robot": (["robots", "show", "quadarm"], "Did you mean 'quad_arm'?"),
-    "view of another kind": (["view", "EPISODE", "-o", "x.mp4"], "ends in .rrd or .html, got: x.mp4"),
+    "view of another kind": (["view", "EPISODE", "-o", "x.mp4"], "ends in .rrd, .html, .png or .jpg, got: x.mp4"),
     "recovered as another kind": (["recover", "EPISODE", "-o", "x.txt"], "ends in .mcap, got: x.txt"),
     "explain nothing": (["metrics", "explain"], "explain NAME [RECORDING]"),
     "folder without recordings": (["metrics", "empty"], "No recording (.mcap) and no dataset in this folder"),

@@ -25,8 +25,8 @@ def evaluation(out: Path, run: str, values: dict[str, list[float | None]], *, wa
     for index in range(count):
         rows = [
             {"index": index, "policy": f"weights:{run}", "partner": partner,
-             "values": {"SR": of[index], "RE": None if of[index] is None else 150.0 * of[index], "CR": 0.0, "RC": None}}
-            for partner, of in values.items()
+             "values": {"SR": value, "RE": None if value is None else 150.0 * value, "CR": 0.0, "RC": None}}
+            for partner, value in ((partner, of[index]) for partner, of in values.items() if index < len(of))
         ]  # fmt: skip
         text = json.dumps({"job": {"episode": {"index": index}}, "rows": rows, "failed": []})
         (folder / "episodes" / f"{index:06d}.json").write_text(text)

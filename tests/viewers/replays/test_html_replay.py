@@ -373,7 +373,7 @@ def test_open_starts_rerun(log: Path, tmp_path: Path, monkeypatch: pytest.Monkey
     [
         (lambda log: ["--compare", str(log.with_name("other.mcap"))], "--compare needs a Rerun file"),
         (lambda log: ["--camera", "third_person"], "--camera needs a Rerun file"),
-        (lambda log: ["-o", "e.pdf"], "ends in .rrd or .html"),
+        (lambda log: ["-o", "e.pdf"], "ends in .rrd, .html, .png or .jpg"),
     ],
 )
 def test_what_html_cannot_show_is_refused(
