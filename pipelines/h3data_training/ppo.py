@@ -118,7 +118,7 @@ class Learner:
             group["lr"] = plan.rate
         self.worlds.totals.zero_()
         first = self.memory.state.clone()
-        last = self._collect(plan.gamma)
+        last = self._collect(plan)
         advantages, targets, explained = self._advantages(last, plan.gamma)
         learned = self._learn(first, advantages, targets, plan)
         total = dict(zip(self.worlds.counts, self.ranks.sum(self.worlds.totals).tolist(), strict=True))
@@ -138,7 +138,7 @@ class Learner:
         return found | ({"pixels": self.net.pixels(shown[self.net.sees])} if self.net.sees else {})
 
     @torch.no_grad()
-    def _collect(self, gamma: float) -> dict[str, Tensor]:
+    def _collect(self, plan: Schedule) -> dict[str, Tensor]:
         """Fills the buffers with one rollout; returns the inputs of the decision after it."""
         s, m, std = self.settings, self.memory, self.net.std()
         for t in range(s.rollout):
@@ -150,11 +150,11 @@ class Learner:
                 "action": action, "mean": mean, "begins": m.over, "far": m.shown["way"][:, 0] > s.near_m,
                 "log_prob": (-0.5 * noise.square() - std.log()).sum(1),
             }  # fmt: skip
-            if s.teacher:
+            if plan.teacher:
                 row["taught"] = self.worlds.taught()
             m.shown, gain, m.over, timed_out, idle = self.worlds.held(action)
             # rewards are paid per step and scaled so that values stay near what one step pays, whatever the horizon
-            row |= {"gain": (1 - gamma) / s.hold * gain, "over": m.over, "timed_out": timed_out, "valid": ~idle}
+            row |= {"gain": (1 - plan.gamma) / s.hold * gain, "over": m.over, "timed_out": timed_out, "valid": ~idle}
             for name, value in row.items():
                 if name not in self._kept:
                     self._kept[name] = torch.empty(s.rollout, *value.shape, dtype=value.dtype, device=value.device)

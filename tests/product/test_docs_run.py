@@ -181,7 +181,7 @@ def shortened(words: list[str]) -> list[str]:
         case ["generate" | "evaluate", *_]:
             episodes = {"generate": "5", "evaluate": "1"}[words[0]]
             words = [*_without(words, "--episodes", "--workers"), "--episodes", episodes]
-            words += [] if "rearrange" in words else ["--max-steps", "20"]
+            words += [] if {"rearrange", "skill"} & set(words) else ["--max-steps", "20"]
         case ["train", *_]:
             words = _without(words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds", "--rollout")
             words += ["--recipe", "fast"] if "--init" in words else []
