@@ -74,12 +74,15 @@ def _steps(bank: RearrangeBank, worlds: int, device: str, *, compile: bool) -> l
     def chosen(mask: torch.Tensor) -> torch.Tensor:
         return torch.where(mask, scores[row % len(scores)], -1.0).argmax(1)
 
-    step = fused(sim.step) if compile else sim.step
-
-    def state() -> None:
-        after = step(play, chosen(_allowed(sim, play)), human)
+    def move(choice: torch.Tensor) -> None:
+        after = sim.step(play, choice, human)
         for mine, new in zip(play.tensors(), after.tensors(), strict=True):
             mine.copy_(new)
+
+    step = fused(move) if compile else move
+
+    def state() -> None:
+        step(chosen(_allowed(sim, play)))
         row.add_(1)
 
     with torch.no_grad():

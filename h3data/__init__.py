@@ -16,7 +16,6 @@ Everything is imported at first use, so `import h3data` is quick.
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -92,7 +91,7 @@ if (
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return importlib.metadata.version("h3data")
+        return importlib.import_module("h3data.plugins").own_version()
     if name not in _HOMES:
         raise AttributeError(f"module 'h3data' has no attribute {name!r}; it has {', '.join(__all__)}")
     return getattr(importlib.import_module(_HOMES[name]), name)

@@ -176,3 +176,11 @@ class Registry(Generic[T]):
             f"The {self.what} {name!r} is claimed by {packages} (entry points of the group {self.group}). "
             "Hint: uninstall one of them, or name the one you mean as module:name."
         )
+
+
+def own_version() -> str:
+    """Of this package as pip knows it; ``source`` where it is a source tree on PYTHONPATH."""
+    try:
+        return importlib.metadata.version("h3data")
+    except importlib.metadata.PackageNotFoundError:
+        return "source"

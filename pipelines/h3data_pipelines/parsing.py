@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib.metadata
 import inspect
 import re
 import shutil
@@ -20,6 +19,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from h3data.errors import InputError, did_you_mean
+from h3data.plugins import own_version
 from h3data_pipelines.command import Command, Group, NameOf
 from h3data_pipelines.job_files import read_job_file
 from h3data_pipelines.options import KINDS, Option, Repeatable, options_of, read_value
@@ -52,7 +52,7 @@ def parse(args: Sequence[str], commands: Mapping[str, type[Command] | Group], *,
         InputError: there is no such command or option, one is missing, or a value has the wrong type.
     """
     if list(args) == ["--version"]:
-        _leave(f"h3data {importlib.metadata.version('h3data')}")
+        _leave(f"h3data {own_version()}")
     prog, words = "h3data", list(args)
     while True:
         if not words or words[0] in ("-h", "--help"):

@@ -14,6 +14,7 @@ import torch
 
 from h3data.errors import InputError
 from h3data.files import part_file
+from h3data.plugins import own_version
 from h3data_training import checkpoints
 from h3data_training.curve import EventLog, save_curve
 from h3data_training.episodes import make_bank
@@ -279,12 +280,6 @@ class _Run:
 
     def policy(self) -> PicturedNetwork:
         """What has been learned so far."""
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            own = version("h3data")
-        except PackageNotFoundError:  # a source tree on PYTHONPATH
-            own = "source"
         s, updates = self.settings, len(self.curve)
         last = {k: v for k, v in self.curve[-1].items() if k in TOLD} if self.curve else {}
         pictured = {*PICTURES, "humanoid_detector"} & set(s.observations)
@@ -296,8 +291,8 @@ class _Run:
                 training={
                     "recipe": self.job.name, "seed": self.job.seed, "updates": updates,
                     "decisions": updates * s.decisions_per_update, "steps": updates * s.decisions_per_update * s.hold,
-                    "seconds": round(self.seconds, 1), "device": self.device, "torch": str(torch.__version__), "h3data": own,
-                    "settings": s.as_dict(), "last_update": last, "processes": self.ranks.count,
+                    "seconds": round(self.seconds, 1), "device": self.device, "torch": str(torch.__version__),
+                    "h3data": own_version(), "settings": s.as_dict(), "last_update": last, "processes": self.ranks.count,
                     **({"parent": self.parent} if self.parent else {}),
                 },
             ),

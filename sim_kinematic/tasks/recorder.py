@@ -3,7 +3,6 @@ runs; events, skills and raw input go beside them."""
 
 from __future__ import annotations
 
-import importlib.metadata
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.motion.walk_names import JOIN
+from h3data.plugins import own_version
 from h3data.recording import (
     Agent,
     AssetRef,
@@ -216,7 +216,7 @@ def describe(
         task=task.name,
         scene=scene.name,
         seed=episode.seed,
-        created_by=f"h3data {importlib.metadata.version('h3data')}",
+        created_by=f"h3data {own_version()}",
         info=info,
     )
     return RecordingHeader(

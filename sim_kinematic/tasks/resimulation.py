@@ -3,7 +3,6 @@ in, the header of a recording that was made from another."""
 
 from __future__ import annotations
 
-import importlib.metadata
 import uuid
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.plugins import own_version
 from h3data.recording import SCHEMA_VERSION, Recording, RecordingHeader, state_hash
 from h3data.scene import FreeSpace, Scene, load_scene
 
@@ -153,7 +153,7 @@ def header_from(recording: Recording, what: str) -> RecordingHeader:
     old = recording.episode
     episode = replace(
         old, uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"{old.uid}:{what}")), schema_version=SCHEMA_VERSION,
-        created_by=f"h3data {importlib.metadata.version('h3data')}",
+        created_by=f"h3data {own_version()}",
         info={k: v for k, v in old.info.items() if k not in _OF_THE_RUN},
     )  # fmt: skip
     return RecordingHeader(

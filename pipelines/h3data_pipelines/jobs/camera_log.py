@@ -8,13 +8,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from h3data.errors import InputError
+from h3data.plugins import own_version
 from h3data.replay import CameraTrack, Replay
 from h3data_pipelines.command import write_text
 from h3data_pipelines.outputs import Target
@@ -38,7 +38,7 @@ class CameraLog:
     def made_of(self, track: CameraTrack, target: Target) -> str:
         """A digest of everything that an output depends on."""
         camera = _intrinsics(track)
-        things = [version("h3data"), self._recording, str(self._steps), target.output, target.form, json.dumps(camera)]
+        things = [own_version(), self._recording, str(self._steps), target.output, target.form, json.dumps(camera)]
         things += [] if self._replay.people == "skin" else [self._replay.people]
         things += [self._replay.light] if target.output == "rgb" and self._replay.light != "flat" else []
         things += [f"{self._samples} samples"] if target.output == "rgb" and self._samples > 1 else []

@@ -8,11 +8,11 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from h3data.errors import InputError
+from h3data.plugins import own_version
 from h3data.recording import Recording
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.jobs.episode_files import FileJobs, notes_on, requested_jobs
@@ -179,7 +179,7 @@ def evaluate_task(
     if keep:
         jobs = [replace(job, keep=True) for job in jobs]
     kept = {job.base.index: recordings / f"{job.base.index:06d}" for job in jobs}
-    made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
+    made_by, origins = f"h3data {own_version()}", {job.base.index: job.base.origin for job in jobs}
 
     def prepare() -> None:
         if force:

@@ -14,6 +14,7 @@ import torch
 
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
+from h3data.plugins import own_version
 from h3data_training import checkpoints
 from h3data_training.curve import EventLog, save_curve
 from h3data_training.launch import Stop
@@ -261,12 +262,6 @@ class _Run:
 
     def _training(self) -> dict[str, Any]:
         """What the cards say of how the policies came about."""
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            own = version("h3data")
-        except PackageNotFoundError:  # a source tree on PYTHONPATH
-            own = "source"
         last = self.curve[-1] if self.curve else {}
         shown = ("reward", "success", "collided", "steps_per_episode", "robot_share")
         return {
@@ -274,7 +269,7 @@ class _Run:
             **{name: int(last.get(name, 0)) for name in ("episodes", "decisions", "steps")},
             "seconds": round(self.seconds, 1), "workers": self.players.workers,
             "device": str(self.learners[ROBOT].device),
-            "torch": str(torch.__version__), "h3data": own, "settings": self.settings.as_dict(),
+            "torch": str(torch.__version__), "h3data": own_version(), "settings": self.settings.as_dict(),
             "last_update": {name: round(last[name], 4) for name in shown if name in last},
         }  # fmt: skip
 

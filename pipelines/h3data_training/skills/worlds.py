@@ -44,7 +44,7 @@ class HeldSkills(HeldSteps):
         self._action = torch.zeros(worlds, self.sim.action_width, device=where)
         self._shown: dict[str, Tensor] = {}
         compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
-        self._step = fused(self.sim.step) if compiles else self.sim.step
+        self._move = fused(self._moved) if compiles else self._moved
         self._cameras = (
             self._make_cameras(settings.picture_size, compile=compiles)
             if "arm_depth" in settings.observations
@@ -83,14 +83,15 @@ class HeldSkills(HeldSteps):
             shown["arm_depth"] = ((depth.clip(near, far) - near) / (far - near))[..., None]
         if not self._shown:
             self._shown = {name: tensor.clone() for name, tensor in shown.items()}
-        for (
-            name,
-            tensor,
-        ) in shown.items():  # the tensors of a captured graph are those that it writes to in every replay
+        for name, tensor in shown.items():  # what a captured graph writes to in every replay
             self._shown[name].copy_(tensor)
 
     def _step_held(self, k: int) -> None:
-        after = self._step(self.play, self._action, looks=k == self.hold - 1)
+        self._move(k == self.hold - 1)
+
+    def _moved(self, looks: bool) -> None:
+        """A step of all worlds, in place: of a state that fused code returns, PyTorch 2.11 loses parts."""
+        after = self.sim.step(self.play, self._action, looks=looks)
         for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
             tensor.copy_(value)
 

@@ -12,7 +12,6 @@ import hashlib
 from dataclasses import dataclass
 from functools import cache
 from html import escape
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -23,6 +22,7 @@ import numpy as np
 from h3data.errors import H3DataError, InputError
 from h3data.exporters.posing import posed_parts
 from h3data.files import part_file
+from h3data.plugins import own_version
 from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data_viewers.html_replay.home import add_home
@@ -139,7 +139,7 @@ def _page(title: str, block: bytes) -> str:
         style_hash=_digest(style),
         script=script,
         script_hash=_digest(script),
-        generator=f"h3data {version('h3data')}",
+        generator=f"h3data {own_version()}",
         data=base64.b64encode(block).decode(),
     )
 

@@ -12,7 +12,6 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -21,6 +20,7 @@ from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.files import part_file
 from h3data.metrics import StudyModel
 from h3data.metrics.batch import Spread
+from h3data.plugins import own_version
 from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.report_charts import (
     distribution_charts,
@@ -287,7 +287,7 @@ def _panels(figures: Sequence[str]) -> str:
 
 def _foot() -> str:
     return (
-        f"<footer>Made by h3data {escape(version('h3data'))}. Published numbers: Puig et al. 2023, Habitat 3.0: A Co-Habitat "
+        f"<footer>Made by h3data {escape(own_version())}. Published numbers: Puig et al. 2023, Habitat 3.0: A Co-Habitat "
         "for Humans, Avatars and Robots, arXiv:2310.13724.</footer>"
     )
 
