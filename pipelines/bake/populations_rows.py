@@ -27,6 +27,7 @@ from sim_kinematic.policies.rearrange import POPULATIONS
 
 RESAMPLES = 10_000
 WALKS = {
+    "oracle": "Oracle skills, people as the paper's (2.5 m/s, E = 750)",
     "paper": "People as the paper's (2.5 m/s, E = 750)",
     "natural": "Natural people (1.3 m/s, E = 1,500)",
 }

@@ -4,13 +4,13 @@
 #   PYTHONPATH=$PWD:$PWD/pipelines:$PWD/viewers bash pipelines/bake/populations_table.sh TRAINED OUT SECONDS
 #
 # TRAINED is the folder that populations.sh filled: every RUN.SEED.policy.npz in it plays, and an untrained robot. OUT gets
-# WALK/RUN.SEED/ (WALK is natural or paper, how people walk), each the folder of one h3data evaluate with a small file for each
-# episode, and rows.md, the table over seeds (populations_rows.py). The same call goes on where it was, also with more robots.
-# People of Learn-Single and Learn-Pop that TRAINED lacks are those of the package.
+# WALK/RUN.SEED/ (WALK is natural or paper, how people walk, or oracle: oracle skills), each the folder of one h3data evaluate
+# with a small file for each episode, and rows.md, the table over seeds (populations_rows.py). The same call goes on where it
+# was, also with more robots. People of Learn-Single and Learn-Pop that TRAINED lacks are those of the package.
 #
-# RUNS names the runs (default: all there are, and untrained), SEEDS the seeds (0 1 2), WALKS how people walk (natural paper),
-# EPISODES is their number (50), SEED that of the episodes, SCENES the homes. SKILLS=learned gives robots learned skills, by
-# default Plan-Pop 3; their folders are RUN_learned_skills.SEED. All evaluations go on at once, WORKERS processes each.
+# RUNS names the runs (default: all there are, and untrained), SEEDS the seeds (0 1 2), WALKS is some of natural, paper and
+# oracle (natural paper), EPISODES their number (50), SEED that of the episodes, SCENES the homes. SKILLS=learned gives robots
+# learned skills, by default Plan-Pop 3; their folders are RUN_learned_skills.SEED. All evaluations go on at once, WORKERS processes each.
 set -u
 trained=$1 out=$2 seconds=${3:-480}
 seeds=${SEEDS:-0 1 2} walks=${WALKS:-natural paper} skills=${SKILLS:-}
@@ -59,12 +59,12 @@ evaluate() { # WALK RUN SEED
         case ",$partners," in *",weights:$file,"*) continue ;; esac
         [ -f "$file" ] && partners=$partners,weights:$file
     done
-    local left=$((end - $(date +%s)))
+    local left=$((end - $(date +%s))) rules="--human-walk $1 --max-steps $([ "$1" = paper ] && echo 750 || echo 1500)"
+    [ "$1" = oracle ] && rules="--skills oracle"
     [ $left -gt 0 ] || return 0
     mkdir -p "$out/$1"
     timeout --foreground -k 10 $left python3 -m h3data_pipelines.cli evaluate rearrange --scenes "${SCENES:-h3-homes/test}" \
-        --seed "${SEED:-9101}" --episodes "${EPISODES:-50}" --human-walk "$1" \
-        --max-steps "$([ "$1" = paper ] && echo 750 || echo 1500)" --policies "weights:$trained/$2.$3.policy.npz" \
+        --seed "${SEED:-9101}" --episodes "${EPISODES:-50}" $rules --policies "weights:$trained/$2.$3.policy.npz" \
         --partners "$partners" --zsc "$ten" ${skills:+--skills "$skills"} --workers "$workers" -o "$folder" \
         >"$folder.log" 2>&1 || echo "$1 $2 $3: failed or stopped, see $folder.log"
 }
