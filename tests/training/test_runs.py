@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,28 @@ def test_an_interrupted_run_comes_to_the_same_weights(
         np.testing.assert_array_equal(arrays(tmp_path)[name], array, err_msg=name)
     with pytest.raises(InputError, match=r"The run is over: 3 updates"):
         train(tmp_path, SMALL, bank=bank, resume=True)
+
+
+def test_a_run_that_sees_colours_resumes_exactly_and_plays(bank: EpisodeBank, tmp_path: Path) -> None:
+    settings = small(observations=("arm_rgb", "humanoid_detector", "humanoid_gps"))
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    for folder in (whole, parts):
+        folder.mkdir()
+    assert train(whole, settings, bank=bank).done
+    assert train(parts, replace(settings, updates=1), bank=bank).done
+    assert train(parts, settings, bank=bank, resume=True).updates == 3
+    fresh = ActorCritic(settings).arrays()
+    assert fresh["conv_0.weight"].shape == (4, 48, 3, 3)
+    assert {n: a.shape for n, a in arrays(whole).items()} == {n: a.shape for n, a in fresh.items()}
+    for name, array in arrays(whole).items():
+        np.testing.assert_array_equal(arrays(parts)[name], array, err_msg=name)
+    policy, first = f"weights:{whole / POLICY}", network_of(f"weights:{whole / POLICY}")
+    options = "--scenes h3-homes/train#0 --episodes 1 --max-steps 30"
+    assert main(["generate", "social_nav", *options.split(), "--policy", policy, "-o", str(tmp_path / "ds")]) == 0
+    assert isinstance(first, PicturedNetwork)
+    assert first.card.picture_size == (16, 12)
+    with pytest.raises(InputError, match="observations="):
+        train(tmp_path, SMALL, bank=bank, init=first)
 
 
 def test_other_settings_and_damaged_checkpoints_are_refused(whole: Path, bank: EpisodeBank, tmp_path: Path) -> None:
@@ -213,6 +236,12 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
     assert main(["train", "social_nav", "--recipe", "fast", "--dry-run", "--json", "-o", str(tmp_path / "n")]) == 0
     plan = json.loads(capsys.readouterr().out)
     assert plan["decisions_per_update"] == 131072
+    shown = "arm_rgb,humanoid_detector,humanoid_gps"
+    options = ["--recipe", "fast", "--observations", shown, "--dry-run", "--json", "-o", str(tmp_path / "n")]
+    assert main(["train", "social_nav", *options]) == 0
+    coloured = json.loads(capsys.readouterr().out)
+    more = coloured["rollout_bytes"] - plan["rollout_bytes"]
+    assert more == 131072 * 64 * 48 * (3 - 1) * 2  # half precision
     assert not (tmp_path / "n").exists()
     assert main(["train", "social_nav", "-o", str(whole)]) == 2
     assert "not empty" in capsys.readouterr().err

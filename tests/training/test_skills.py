@@ -146,6 +146,8 @@ def test_settings_that_cannot_be_are_refused() -> None:
     for size in ((30, 24), (32, 2)):
         with pytest.raises(InputError, match="multiples of 4"):
             replace(SMALL, picture_size=size)
+    with pytest.raises(InputError, match="got arm_rgb"):
+        replace(SMALL, observations=("arm_rgb", "way"))
 
 
 def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

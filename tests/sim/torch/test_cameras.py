@@ -11,6 +11,7 @@ import pytest
 from tests.render.gpu_emulator import COMPILER, EmulatedRenderer
 
 torch = pytest.importorskip("torch")
+from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.render.gpu import GpuRenderer  # noqa: E402
@@ -122,6 +123,32 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
     env.play.ended.fill_(True)  # the next episode of the bank is in the other home
     seen, want = env.step(torch.ones(4, 2))[0], worlds.held(torch.ones(4, 2))[0]
     assert levels_apart(seen, want) < 5e-3
+
+
+class CapturableOnly(TorchDispatchMode):
+    """Refuses operations that cannot be part of a CUDA graph: values that the host reads, or makes, and shapes that follow from
+    values."""
+
+    NO = ("_local_scalar_dense", "lift_fresh", "nonzero", "masked_select", "unique")
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        assert not any(name in str(func) for name in self.NO), func
+        return func(*args, **(kwargs or {}))
+
+
+def test_two_cameras_in_turn_upload_nothing(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The detector's picture, then that of the colours: nothing but what a CUDA graph holds."""
+    name, renderer = device
+    monkeypatch.setattr(torch_cameras, "GpuRenderer", renderer)
+    bank = EpisodeBank.draw("small:1", 2, seed=5, spec=RULES)
+    shown: Any = ("arm_rgb", "humanoid_detector")
+    env = SocialNavTorchEnv(2, device=name, observations=shown, spec=RULES, episodes=bank, depth_size=SIZE)
+    first, _ = env.reset(seed=1)
+    assert env._cameras is not None
+    monkeypatch.setattr(torch, "from_numpy", None)
+    with CapturableOnly():
+        again = env._pictures(env._cameras)
+    assert torch.equal(again["arm_rgb"], first["arm_rgb"])
 
 
 def levels_apart(seen: Any, want: Any) -> float:
