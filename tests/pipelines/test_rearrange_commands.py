@@ -204,3 +204,23 @@ def test_datasets_of_one_policy_are_one_row(tmp_path: Path, capsys: pytest.Captu
     run_json(capsys, *common, "--partner", "object_1", "-o", tmp_path / "again")
     twice = make_report([tmp_path / "object_1", tmp_path / "again"], pictures=0)
     assert [run.name for run in twice.data.runs] == ["still (object_1)", "still (again)"]
+
+
+def test_oracle_skills_are_played_as_worlds_on_a_device_play_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = ("--scenes", "small:1", "--episodes", "1", "--skills", "oracle", "--max-steps", "700", "--json", "-o")
+    run_json(capsys, "generate", "rearrange", *args, tmp_path / "ds")
+    spec = h3data.open(tmp_path / "ds").recording(0).episode.info["spec"]
+    assert spec["oracle"]
+    assert (spec["people_give_way"], spec["human"]["speed_mps"], spec["max_steps"]) == (False, 2.5, 700)
+    table = run_json(
+        capsys, "evaluate", "rearrange", "--policies", "still", "--partners", "still", *args, tmp_path / "e"
+    )
+    assert table["failed"] == []
+    for task, more, message in (
+        ("rearrange", ("--human-walk", "natural"), "--skills oracle has the paper's people"),
+        ("social_nav", (), "--skills is for rearrange"),
+    ):
+        other = run_json(capsys, "evaluate", task, *more, *args, tmp_path / "other", code=2)
+        assert message in other["error"]
