@@ -101,7 +101,8 @@ def test_list_options_take_one_value_each_time() -> None:
         for option in options_of(command):
             if not option.flags or option.count is not None:
                 continue
-            value = "1" if option.kind in (int, float) else "a"
+            choices = get_args(option.kind)
+            value = choices[0] if choices else "1" if option.kind in (int, float) else "a"
             required = [word for o in options_of(command) if o.required and o.flags for word in (o.flags[0], "csv")]
             positional = [o for o in options_of(command) if not o.flags]
             line = [*words, option.flags[-1], value, *required, option.flags[-1], value, *["p"] * len(positional)]

@@ -36,7 +36,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
     build = [sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", str(tmp_path / "dist"), str(ROOT)]
     subprocess.run(build, check=True, capture_output=True)
     (wheel,) = (tmp_path / "dist").glob("*.whl")
-    assert wheel.stat().st_size < 8_000_000  # 3.2 MB of it are trained policies
+    assert wheel.stat().st_size < 8_200_000  # 3.2 MB of it are trained policies
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
