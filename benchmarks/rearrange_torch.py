@@ -61,7 +61,7 @@ def _steps(bank: RearrangeBank, worlds: int, device: str, *, compile: bool) -> l
     import torch
 
     from sim_kinematic.envs.rearrange_torch_env import RearrangeTorchEnv
-    from sim_kinematic.torch.graph import captured, fused
+    from sim_kinematic.torch.graph import captured, fused, overwrite
     from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
 
     sim = RearrangeTensors(bank, device=device, dtype=torch.float32)
@@ -75,9 +75,7 @@ def _steps(bank: RearrangeBank, worlds: int, device: str, *, compile: bool) -> l
         return torch.where(mask, scores[row % len(scores)], -1.0).argmax(1)
 
     def move(choice: torch.Tensor) -> None:
-        after = sim.step(play, choice, human)
-        for mine, new in zip(play.tensors(), after.tensors(), strict=True):
-            mine.copy_(new)
+        overwrite(play.tensors(), sim.step(play, choice, human).tensors())
 
     step = fused(move) if compile else move
 

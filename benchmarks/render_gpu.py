@@ -48,7 +48,7 @@ def stage(*, light: bool = False) -> GpuScene:
 
 
 class Steps:
-    """What changes from step to step, for ``worlds`` worlds, on the device: eight phases, one after another."""
+    """Everything that changes from step to step, for ``worlds`` worlds, on the device: eight phases, one after another."""
 
     def __init__(self, worlds: int, device: torch.device) -> None:
         import torch

@@ -151,7 +151,7 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
     from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
     from sim_kinematic.torch.cameras import TensorCameras
     from sim_kinematic.torch.episodes import EpisodeBank
-    from sim_kinematic.torch.graph import captured, fused
+    from sim_kinematic.torch.graph import captured, fused, overwrite
     from sim_kinematic.torch.social_nav import Play, SocialNavTensors
 
     rules = SocialNavSpec(end_on_collision=False, max_steps=3000, human=HOME_WALKER)
@@ -168,9 +168,7 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
 
     def move() -> None:
         row.add_(1).remainder_(len(actions))
-        after = sim.step(play, actions.index_select(0, row)[0])
-        for mine, new in zip(play.tensors(), after.tensors(), strict=True):
-            mine.copy_(new)
+        overwrite(play.tensors(), sim.step(play, actions.index_select(0, row)[0]).tensors())
 
     moves = fused(move) if compile else move
 

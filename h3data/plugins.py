@@ -179,7 +179,7 @@ class Registry(Generic[T]):
 
 
 def own_version() -> str:
-    """Of this package as pip knows it; ``source`` where it is a source tree on PYTHONPATH."""
+    """The version of this package that pip knows; ``source`` where it is a source tree on PYTHONPATH."""
     try:
         return importlib.metadata.version("h3data")
     except importlib.metadata.PackageNotFoundError:

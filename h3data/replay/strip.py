@@ -156,7 +156,7 @@ def _label(time: str, text: str) -> NDArray[np.uint8]:
 
 
 def _key(recording: Recording, width: int) -> NDArray[np.uint8]:
-    """Who has which colour."""
+    """The names of all agents beside the colours of their paths, as a row below the panels."""
     import cv2
 
     out, at = np.full((30, width, 3), PAPER, np.uint8), 10

@@ -54,12 +54,12 @@ def _encoded(name: str, seen: Tensor) -> Tensor:
 
 
 def actor_numbers(shown: Shown, last: Tensor, names: tuple[str, ...]) -> Tensor:
-    """What the actor is told beside the picture, with the last action [n, A]."""
+    """Everything that the actor is told beside the picture, with the last action [n, A]."""
     return torch.cat([*(_encoded(n, shown[n]) for n in names if n not in PICTURES), last], 1)
 
 
 def critic_numbers(shown: Shown, over: Tensor, names: tuple[str, ...]) -> Tensor:
-    """What the critic is told, and whether the episode is ``over`` [n]."""
+    """Everything that the critic is told, and whether the episode is ``over`` [n]."""
     return torch.cat([*(_encoded(n, shown[n]) for n in names), over[:, None].float()], 1)
 
 
@@ -118,7 +118,7 @@ class ActorCritic(nn.Module):
         return picture(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """What goes into the recurrent layer, [n, F]."""
+        """Inputs of the recurrent layer, [n, F]."""
         if pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):

@@ -56,7 +56,7 @@ class Worlds(Protocol):
 
 @dataclass(eq=False)
 class Memory:
-    """What is carried from one decision to the next, for W worlds."""
+    """Everything that is carried from one decision to the next, for W worlds."""
 
     shown: dict[str, Tensor]
     state: Tensor
@@ -68,7 +68,7 @@ class Memory:
 
 
 class Schedule(NamedTuple):
-    """What changes over a run."""
+    """Rates and weights that change over a run."""
 
     rate: float
     gamma: float

@@ -89,7 +89,7 @@ def train(
 
 @dataclass(frozen=True, kw_only=True)
 class _Job:
-    """What `train` was asked for, as its processes are told."""
+    """Arguments of `train`, as its processes are told."""
 
     folder: Path
     settings: Settings
@@ -131,7 +131,7 @@ class _Job:
 
 
 def _work(job: _Job, stop: Stop, say: Say) -> Result:
-    """What one process does."""
+    """The work of one process."""
     ranks, device = own_place(job.device)
     if not ranks.is_first:
         say = _silent
@@ -305,7 +305,7 @@ TOLD = ("reward", "follows", "collided", "met", "succeeded", "failed")
 
 
 def figures_of(row: dict[str, float]) -> str:
-    """What a row of the learning curve says of episodes, in words."""
+    """Episodes of an update, as a row of the learning curve has them, in words."""
     if "follows" in row:
         return f"following {row['follows']:.0%} of steps  collided {row['collided']:.0%}"
     return f"succeeded {row['succeeded']:.0%}  failed {row['failed']:.0%}  {row['steps_per_episode']:.0f} steps"

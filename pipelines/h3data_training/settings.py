@@ -1,4 +1,4 @@
-"""What a training run does, as one frozen record; recipes are records with names."""
+"""Settings of a training run, as one frozen record; recipes are records with names."""
 
 from __future__ import annotations
 

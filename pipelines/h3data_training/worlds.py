@@ -2,68 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
-from h3data.render import Output
-from h3data.scene import Scene
+from h3data_training.cpu_cameras import CpuCameras
 from h3data_training.episodes import rules
 from h3data_training.held import HeldSteps
 from h3data_training.settings import CRITIC, Settings
 from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv, arm_cameras
-from sim_kinematic.motion.spec import WalkerSpec
-from sim_kinematic.motion.state import WorldState
-from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.torch.episodes import EpisodeBank
-from sim_kinematic.torch.state import HumanTensors, RobotTensors
 
 COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met")
 """Sums over worlds and steps that `HeldWorlds.totals` keeps."""
-
-
-class CpuCameras:
-    """Stands in for `sim_kinematic.torch.cameras.TensorCameras` without a GPU: the CPU renderer, world by world."""
-
-    def __init__(
-        self, scenes: Sequence[Scene], robot: str, human: str, walker: WalkerSpec, *, floors: Sequence[float],
-        views: Sequence[str], size: tuple[int, int],
-    ) -> None:  # fmt: skip
-        self._scenes, self._floors, self._walker, self.views = scenes, floors, walker, tuple(views)
-        self._bodies = load_robot(robot), load_humanoid(human)
-        own = self._bodies[0].camera("robot_arm")
-        self.share = size[0] * size[1] / (own.width * own.height)
-        self.renderer = SimpleNamespace(width=size[0], height=size[1])
-        self._size = size
-        self._drawn: dict[int, StateRenderer] = {}
-        self._state, self._homes = WorldState.zeros(0), np.zeros(0, int)
-
-    def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
-        """As `sim_kinematic.torch.cameras.TensorCameras.pose`."""
-        state = WorldState.zeros(len(robot.heading), joints=[len(self._bodies[0].rest)])
-        robot.put(state.robots[0])
-        human.put(state.people[0])
-        state.robots[0].joints[:] = self._bodies[0].rest
-        self._state, self._homes = state, np.zeros(state.worlds, int) if place is None else place.numpy().copy()
-
-    def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
-        """As `sim_kinematic.torch.cameras.TensorCameras.picture`."""
-        sensor = CameraSensor(camera=view, outputs=tuple(outputs), size=self._size)
-        taken: dict[str, list[np.ndarray]] = {name: [] for name in outputs}
-        for w, home in enumerate(self._homes.tolist()):
-            if home not in self._drawn:
-                speed = self._walker.speed_mps
-                self._drawn[home] = StateRenderer(self._scenes[home], self._bodies, speed_mps=speed)
-            self._drawn[home].pose(self._state.take(np.array([w])), floor=self._floors[home])
-            for name, picture in sensor.observe(self._drawn[home]).items():
-                taken[name].append(picture[0])
-        return {name: torch.as_tensor(np.stack(pictures)) for name, pictures in taken.items()}
 
 
 class HeldWorlds(HeldSteps, SocialNavTorchEnv):

@@ -15,7 +15,7 @@ from h3data.errors import InputError
 from h3data.scene import Scene
 from sim_kinematic.envs.torch_env import Tensors, TorchEnv
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.sensing.sensor import DEPTH_RANGE_M, DETECTED_PIXELS, HUMAN_ID
+from sim_kinematic.sensing.sensor import DETECTED_PIXELS, HUMAN_ID, scaled_depth
 from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.torch.social_nav import Play, SocialNavTensors
 
@@ -188,8 +188,7 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         by_arm: list[Output] = [OUTPUTS[name] for name in self._names if name in OUTPUTS]
         seen, shown = cameras.picture(cameras.views[0], by_arm) if by_arm else {}, {}
         if "depth" in seen:
-            near, far = DEPTH_RANGE_M
-            shown["arm_depth"] = ((seen["depth"].clip(near, far) - near) / (far - near))[..., None]
+            shown["arm_depth"] = scaled_depth(seen["depth"])[..., None]
         if "semantic" in seen:
             pixels = (seen["semantic"] == HUMAN_ID).sum((-2, -1))
             shown["humanoid_detector"] = (pixels > int(DETECTED_PIXELS * cameras.share)).float()[:, None]

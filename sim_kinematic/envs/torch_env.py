@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from h3data.errors import InputError
-from sim_kinematic.torch.graph import can_fuse, captured, fused
+from sim_kinematic.torch.graph import can_fuse, captured, fused, overwrite
 from sim_kinematic.torch.random import keys, random
 
 if TYPE_CHECKING:
@@ -112,8 +112,7 @@ class TorchEnv(Generic[P]):
 
     def _keep(self, after: P) -> None:
         """Writes a state over that of all worlds."""
-        for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
-            tensor.copy_(value)
+        overwrite(self.play.tensors(), after.tensors())
 
     def _moved(self) -> Any:
         """A step of all worlds, in place, and what it shows; what is fused."""

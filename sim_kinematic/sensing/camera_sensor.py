@@ -29,7 +29,7 @@ from h3data.scene import Mesh, Scene, Shape
 from h3data.scene.records import Capsule, instance_matrix
 from sim_kinematic.contact.frames import Body, Floor, body_frames, body_shapes, require_bodies, shape_frames
 from sim_kinematic.motion.state import WorldState
-from sim_kinematic.sensing.sensor import HUMAN_ID
+from sim_kinematic.sensing.sensor import HUMAN_ID, scaled_depth
 
 ROBOT_ID = 200
 """Semantic id of robots in our recordings."""
@@ -255,6 +255,5 @@ class CameraSensor:
         cameras = drawn.cameras(self.camera, agent=self.agent, size=self.size)
         pictures = drawn.picture(cameras, self.outputs)
         if self.depth_range_m is not None and "depth" in pictures:
-            near, far = self.depth_range_m
-            pictures["depth"] = (pictures["depth"].clip(near, far) - near) / (far - near)  # NumPy, or torch on a GPU
+            pictures["depth"] = scaled_depth(pictures["depth"], self.depth_range_m)
         return pictures

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
@@ -16,7 +15,7 @@ from sim_kinematic.contact.frames import Body, Floor
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.agent_pictures import AgentPictures
 from sim_kinematic.sensing.camera_sensor import StateRenderer
-from sim_kinematic.sensing.sensor import DEPTH_RANGE_M
+from sim_kinematic.sensing.sensor import scaled_depth
 
 
 def see(
@@ -43,12 +42,8 @@ def see(
     """
     rendered = _renderer(scene, tuple(bodies), tuple(objects), speed_mps, threading.get_ident())
     rendered.pose(state, floor=floor, frames=frames)
-    near, far = DEPTH_RANGE_M
     pictures = AgentPictures(bodies[agent], names, agent=agent, depth_size=size, rgb_size=size).take(rendered)
-    return {
-        name: (p[0].clip(near, far) - near) / np.float32(far - near) if name.endswith("_depth") else p[0]
-        for name, p in pictures.items()
-    }
+    return {name: scaled_depth(p[0]) if name.endswith("_depth") else p[0] for name, p in pictures.items()}
 
 
 @lru_cache(maxsize=4)  # packing a home costs as much as some hundred pictures

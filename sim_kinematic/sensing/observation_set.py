@@ -13,7 +13,7 @@ from h3data.errors import InputError, MissingExtraError
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.sensing.agent_pictures import AgentPictures, Limits
-from sim_kinematic.sensing.sensor import DEPTH_RANGE_M, NoiseModel
+from sim_kinematic.sensing.sensor import NoiseModel, scaled_depth
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict
@@ -81,8 +81,7 @@ class ObservationSet:
             if name in self._noise:
                 values = self._with_noise(name, values, seeds, steps)
             if name in self.pictures.names and name.endswith("_depth"):
-                near, far = DEPTH_RANGE_M
-                values = (values.clip(near, far) - near) / (far - near)
+                values = scaled_depth(values)
             elif name in self._noise or name in self.states:
                 low, high = self._bounds[name]
                 values = np.minimum(np.maximum(values, low), high)  # `clip` takes twice as long for a few numbers

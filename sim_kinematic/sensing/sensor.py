@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,12 @@ RANGE_M = 2.0
 """Farthest that it measures."""
 RANGE_STRIDES = 8
 """Of sphere tracing: 95 % of rays in furnished homes are then within 3 cm."""
+
+
+def scaled_depth(depth: Any, limits_m: tuple[float, float] = DEPTH_RANGE_M) -> Any:
+    """Depth [m], an array or a tensor of any shape, clipped to ``limits_m`` and scaled to 0..1."""
+    near, far = limits_m
+    return (depth.clip(near, far) - near) / (far - near)
 
 
 # --- where things are ---------------------------------------------------------------------------------------------------

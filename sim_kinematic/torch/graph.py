@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import ParamSpec, TypeVar
 
 import torch
@@ -32,6 +32,12 @@ def can_fuse() -> bool:
     return importlib.util.find_spec("triton") is not None
 
 
+def overwrite(kept: Iterable[Tensor], new: Iterable[Tensor]) -> None:
+    """Writes new values into tensors that a graph reads and writes, one after the other."""
+    for tensor, value in zip(kept, new, strict=True):
+        tensor.copy_(value)
+
+
 def captured(step: Callable[[], object], kept: Sequence[Tensor]) -> Callable[[], None]:
     """``step`` as a CUDA graph: it reads and writes the same tensors each time. ``kept`` are those that must not change
     while it is tried out."""
@@ -46,6 +52,5 @@ def captured(step: Callable[[], object], kept: Sequence[Tensor]) -> Callable[[],
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.device(device), torch.cuda.graph(graph):
         step()
-    for tensor, value in zip(kept, was, strict=True):
-        tensor.copy_(value)
+    overwrite(kept, was)
     return graph.replay

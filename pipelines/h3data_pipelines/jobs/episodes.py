@@ -134,7 +134,7 @@ ORACLE = "oracle"
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """What the user asks for; None leaves it to the episode, or to the task."""
+    """Choices of the user; None leaves one to the episode, or to the task."""
 
     task: str
     policy: str | None = None

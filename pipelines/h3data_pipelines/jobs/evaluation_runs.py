@@ -34,7 +34,7 @@ RECORDINGS = "recordings"
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationRequest:
-    """What to evaluate."""
+    """Policies, partners and episodes of an evaluation."""
 
     task: str
     policies: str = ALL

@@ -66,11 +66,7 @@ def results_of(
         store: Keeps what belongs to a result beside its file, and gives what the file holds.
         prepare: Called once the folder is there.
         is_whole: Whether what `store` keeps of a job is there.
-        resume: Whether ``out`` must hold an evaluation to go on with.
-        force: Whether results in ``out`` are deleted first.
-        workers: Number of processes.
-        executor: Who starts them: ``local``, ``ray`` or ``ray://host:port``.
-        progress: Makes a progress bar: called with ``total``, ``initial``, ``desc`` and ``unit``.
+        resume, force, workers, executor, progress: As of `h3data_pipelines.jobs.evaluation_runs.evaluate_task`.
 
     Raises:
         InputError: the folder holds results of other options, or anything else.

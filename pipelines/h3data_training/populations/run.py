@@ -137,7 +137,7 @@ class _Run:
 
     @property
     def seconds(self) -> float:
-        """Of all calls."""
+        """How long all calls have taken so far [s]."""
         return self.before_s + self.elapsed()
 
     @property
@@ -261,7 +261,7 @@ class _Run:
             self.say(f"could not save ({fault}); training goes on, the last checkpoint is as it was")
 
     def _training(self) -> dict[str, Any]:
-        """What the cards say of how the policies came about."""
+        """How the policies came about, for their cards."""
         last = self.curve[-1] if self.curve else {}
         shown = ("reward", "success", "collided", "steps_per_episode", "robot_share")
         return {

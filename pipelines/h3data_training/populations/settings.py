@@ -1,4 +1,4 @@
-"""What a run of rearrangement does, as one frozen record, and who learns in it."""
+"""Settings of a run of rearrangement, as one frozen record, and its learners."""
 
 from __future__ import annotations
 
@@ -120,14 +120,14 @@ class PopulationSettings:
 
     @property
     def partners(self) -> tuple[str, ...]:
-        """Who may be beside the robot: plans, or learners by name."""
+        """Those who may be beside the robot: plans, or learners by name."""
         if self.population in POPULATIONS:
             return POPULATIONS[self.population]
         return tuple(f"partner_{k}" for k in range(LEARNED[self.population]))
 
     @property
     def learners(self) -> tuple[str, ...]:
-        """Who learns: the robot, and partners that are not planners."""
+        """Names of those who learn: the robot, and partners that are not planners."""
         return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
 
     def observations_of(self, agent: str) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
 from sim_kinematic.policies.choosers.recurrent_chooser import CLOSE_STEPS
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
-from sim_kinematic.torch.graph import captured
+from sim_kinematic.torch.graph import captured, overwrite
 from sim_kinematic.torch.rearrange.bank import RearrangeBank, orders
 from sim_kinematic.torch.rearrange.observations import View, observed
 from sim_kinematic.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLACE, every_choice, of_object
@@ -80,7 +80,7 @@ Casts = tuple[tuple[tuple[str, int], ...], ...]
 
 
 def _casts(jobs: Sequence[Job]) -> Casts:
-    """The learners that play the robot, and the person if that is one: names, and in how many worlds."""
+    """The learners that play the robot and, where people learn, the person: names, and in how many worlds."""
     people = [job.partner for job in jobs if job.partner in job.networks]
     assert len(people) in (0, len(jobs))
     return tuple(tuple(sorted(Counter(names).items())) for names in ([ROBOT] * len(jobs), people) if names)
@@ -111,7 +111,7 @@ class _Worlds:
         if len(self._choosers) == 1:
             orders_ = _orders(jobs, self._sim.bank.objects, device)
             fresh = fresh._replace(human_does=fresh.human_does._replace(order=orders_))
-        self._put(fresh)
+        overwrite(self._play.tensors(), fresh.tensors())
         self._step.zero_()
         dice = torch.Generator(device).manual_seed(seed)
         for chooser, names in zip(self._choosers, ([ROBOT] * len(jobs), [job.partner for job in jobs]), strict=False):
@@ -132,13 +132,9 @@ class _Worlds:
         """One step of all worlds, in place."""
         chosen = [chooser.choose(self._play, self._step) for chooser in self._choosers]
         after = self._sim.step(self._play, chosen[0], chosen[1] if len(chosen) > 1 else self._nothing)
-        self._put(after)
+        overwrite(self._play.tensors(), after.tensors())
         self._rewards.index_copy_(0, self._step, after.reward[None])
         self._step.add_(1)
-
-    def _put(self, play: Play) -> None:
-        for tensor, value in zip(self._play.tensors(), play.tensors(), strict=True):
-            tensor.copy_(value)
 
 
 def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
@@ -217,8 +213,7 @@ class _Chooser:
             own = [w for w, who in enumerate(names) if who == name]
             rows.copy_(torch.tensor(own, device=device))
             fresh = arrays_of(jobs[own[0]].networks[name], device)
-            for key, array in self._arrays.setdefault(name, fresh).items():
-                array.copy_(fresh[key])
+            overwrite(self._arrays.setdefault(name, fresh).values(), fresh.values())
         self._noise.copy_(noise.clamp_min(1e-12))
         self._state.zero_()
         self._thought.zero_()

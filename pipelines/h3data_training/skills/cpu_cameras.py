@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from h3data.geometry import pose_from_matrix
 from h3data.render import Output
+from h3data_training.cpu_cameras import stacked
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.torch.skills.cameras import moved_bodies
@@ -27,11 +27,7 @@ class CpuSkillCameras:
     def observe(self, play: SkillPlay, outputs: Sequence[Output] = ("depth",)) -> dict[str, Tensor]:
         """As `sim_kinematic.torch.skills.cameras.SkillCameras.observe`."""
         sensor = CameraSensor(outputs=tuple(outputs), size=self._size)
-        taken: dict[str, list[np.ndarray]] = {name: [] for name in outputs}
-        for w, episode in enumerate(play.episode.tolist()):
-            for name, picture in sensor.observe(self._posed(play, w, episode)).items():
-                taken[name].append(picture[0])
-        return {name: torch.as_tensor(np.stack(pictures)) for name, pictures in taken.items()}
+        return stacked(sensor, (self._posed(play, w, episode) for w, episode in enumerate(play.episode.tolist())))
 
     def _posed(self, play: SkillPlay, w: int, episode: int) -> StateRenderer:
         bank, robot = self._sim.bank, self._sim.arm.robot

@@ -12,8 +12,8 @@ from torch import Tensor
 from h3data_training.held import HeldSteps
 from h3data_training.skills.settings import SkillSettings
 from sim_kinematic.envs.torch_env import places_in_bank
-from sim_kinematic.sensing.sensor import DEPTH_RANGE_M
-from sim_kinematic.torch.graph import can_fuse, captured, fused
+from sim_kinematic.sensing.sensor import scaled_depth
+from sim_kinematic.torch.graph import can_fuse, captured, fused, overwrite
 from sim_kinematic.torch.skills.bank import SkillBank
 from sim_kinematic.torch.skills.teacher import taught
 from sim_kinematic.torch.skills.worlds import SkillTensors
@@ -78,9 +78,7 @@ class HeldSkills(HeldSteps):
         self._hold_action()
         shown = self.sim.observations(self._names, self.play)
         if self._cameras is not None:
-            near, far = DEPTH_RANGE_M
-            depth = self._cameras.observe(self.play)["depth"]
-            shown["arm_depth"] = ((depth.clip(near, far) - near) / (far - near))[..., None]
+            shown["arm_depth"] = scaled_depth(self._cameras.observe(self.play)["depth"])[..., None]
         if not self._shown:
             self._shown = {name: tensor.clone() for name, tensor in shown.items()}
         for name, tensor in shown.items():  # what a captured graph writes to in every replay
@@ -91,9 +89,7 @@ class HeldSkills(HeldSteps):
 
     def _moved(self, looks: bool) -> None:
         """A step of all worlds, in place: of a state that fused code returns, PyTorch 2.11 loses parts."""
-        after = self.sim.step(self.play, self._action, looks=looks)
-        for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
-            tensor.copy_(value)
+        overwrite(self.play.tensors(), self.sim.step(self.play, self._action, looks=looks).tensors())
 
     def _long_enough(self) -> Tensor:
         return self.play.steps >= self.limit

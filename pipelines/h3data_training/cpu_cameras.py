@@ -1,0 +1,61 @@
+"""Pictures of training worlds on a machine without a GPU, for tests and trials."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data.bodies import load_humanoid, load_robot
+from h3data.render import Output
+from h3data.scene import Scene
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
+from sim_kinematic.torch.state import HumanTensors, RobotTensors
+
+
+def stacked(sensor: CameraSensor, worlds: Iterable[StateRenderer]) -> dict[str, Tensor]:
+    """Pictures of worlds that are posed one after the other, by output, [W, H, W', ...] each."""
+    taken = [sensor.observe(drawn) for drawn in worlds]
+    return {name: torch.as_tensor(np.concatenate([pictures[name] for pictures in taken])) for name in sensor.outputs}
+
+
+class CpuCameras:
+    """Stands in for `sim_kinematic.torch.cameras.TensorCameras` without a GPU: the CPU renderer, world by world."""
+
+    def __init__(
+        self, scenes: Sequence[Scene], robot: str, human: str, walker: WalkerSpec, *, floors: Sequence[float],
+        views: Sequence[str], size: tuple[int, int],
+    ) -> None:  # fmt: skip
+        self._scenes, self._floors, self._walker, self.views = scenes, floors, walker, tuple(views)
+        self._bodies = load_robot(robot), load_humanoid(human)
+        own = self._bodies[0].camera("robot_arm")
+        self.share = size[0] * size[1] / (own.width * own.height)
+        self.renderer = SimpleNamespace(width=size[0], height=size[1])
+        self._size = size
+        self._drawn: dict[int, StateRenderer] = {}
+        self._state, self._homes = WorldState.zeros(0), np.zeros(0, int)
+
+    def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
+        """As `sim_kinematic.torch.cameras.TensorCameras.pose`."""
+        state = WorldState.zeros(len(robot.heading), joints=[len(self._bodies[0].rest)])
+        robot.put(state.robots[0])
+        human.put(state.people[0])
+        state.robots[0].joints[:] = self._bodies[0].rest
+        self._state, self._homes = state, np.zeros(state.worlds, int) if place is None else place.numpy().copy()
+
+    def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
+        """As `sim_kinematic.torch.cameras.TensorCameras.picture`."""
+        sensor = CameraSensor(camera=view, outputs=tuple(outputs), size=self._size)
+        return stacked(sensor, (self._posed(w, home) for w, home in enumerate(self._homes.tolist())))
+
+    def _posed(self, w: int, home: int) -> StateRenderer:
+        if home not in self._drawn:
+            speed = self._walker.speed_mps
+            self._drawn[home] = StateRenderer(self._scenes[home], self._bodies, speed_mps=speed)
+        self._drawn[home].pose(self._state.take(np.array([w])), floor=self._floors[home])
+        return self._drawn[home]
