@@ -8,7 +8,7 @@ noise is added by `with_noise` and `depth_with_noise`, where wanted. Pictures: `
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -149,6 +149,20 @@ def way(
         return np.array([FAR_M, 0.0])
     point = free.next_waypoint(xz, goal_xz, beyond_m=beyond_m)
     return np.append(min(length_m, FAR_M), gps_compass(xz, heading, point)[1])
+
+
+def path_points(
+    free: FreeSpace, xz: ArrayLike, goal_xz: ArrayLike, lengths_m: Sequence[float], *, max_snap_m: float
+) -> Floats:
+    """Points on the shortest path from ``xz`` [2] to ``goal_xz`` [2], so far along it: [n, 2]; its end where it is shorter.
+
+    Where there is no path they are on the straight line.
+    """
+    path = free.path(xz, goal_xz, max_snap_m=max_snap_m)
+    if len(path) < 2:
+        path = np.array([xz, goal_xz], np.float64)
+    walked = np.append(0.0, np.hypot(*np.diff(path, axis=0).T).cumsum())
+    return np.stack([np.interp(lengths_m, walked, path[:, axis]) for axis in range(2)], -1)
 
 
 def range_scan(free: FreeSpace, xz: ArrayLike, heading: ArrayLike) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ pytest.importorskip("fcl")
 from h3data.errors import InputError  # noqa: E402
 from h3data_training.populations import worlds as populations  # noqa: E402
 from h3data_training.populations.learner import ChooserLearner  # noqa: E402
-from h3data_training.populations.playing import Job  # noqa: E402
+from h3data_training.populations.playing import Decisions, Job, discounted  # noqa: E402
 from h3data_training.populations.pool import draw_pool, episodes_of  # noqa: E402
 from h3data_training.populations.run import CHECKPOINT, POLICY, train  # noqa: E402
 from h3data_training.populations.settings import ROBOT, PopulationSettings  # noqa: E402
@@ -95,6 +95,14 @@ def test_inputs_and_scores_are_those_of_one_agent(agent: str, without: tuple[str
         np.testing.assert_allclose(after[n], state, rtol=0, atol=1e-5)
 
 
+def by_episode(decisions: Decisions) -> list[dict[str, np.ndarray]]:
+    """The columns of each episode."""
+    cuts = np.cumsum(decisions.counts)[:-1]
+    names = [f.name for f in fields(decisions) if f.name not in ("counts", "partners")]
+    parts = {name: np.split(np.asarray(getattr(decisions, name)), cuts) for name in names}
+    return [{name: part[e] for name, part in parts.items()} for e in range(len(decisions.counts))]
+
+
 class _Best(RecurrentChooser):
     """Keeps what it was asked; takes the best."""
 
@@ -115,9 +123,9 @@ def test_decisions_are_those_of_the_cpu(
     monkeypatch.setattr(populations, "ORACLE_RULES", rules)
     monkeypatch.setattr(torch, "rand", lambda shape, **_: torch.full(shape, 0.5))  # the best has the best chance
     policy = network(seed=5, settings=replace(SMALL, without=without))
-    played = TensorPlayers(episodes, "cpu").play(jobs_of(4, {ROBOT: policy}))
-    agree = []
-    for job, own in zip(jobs_of(4, {}), played, strict=True):
+    played, decisions = TensorPlayers(episodes, "cpu").play(jobs_of(4, {ROBOT: policy}))
+    agree, equal = [], 0
+    for job, own, mine in zip(jobs_of(4, {}), played, by_episode(decisions[ROBOT]), strict=True):
         episode = replace(episodes[job.entry], spec=rules)
         chooser = _Best(policy, 2)
         seed = populations.episode_seed(job.seed, job.number)
@@ -125,17 +133,22 @@ def test_decisions_are_those_of_the_cpu(
         play = RearrangePlay(episode, [AssignedPolicy(chooser, ROBOT, ROBOT), plan])
         rewards: list[float] = []
         run(play, progress=lambda _, rewards=rewards, play=play: rewards.append(play.reward))
-        mine, first = own.decisions[ROBOT], chooser.rows[:4]
-        assert len(mine) > 4
-        assert not (mine.chosen[:, None] >= 9).any() or not without
+        first, chosen = chooser.rows[:4], mine["chosen"]
+        assert len(chosen) > 4
+        assert not (chosen >= 9).any() or not without
         agree += [
-            chosen == int(mine.chosen[k]) and may == tuple(mine.allowed[k].tolist())
-            for k, (_, may, chosen) in enumerate(first)
+            best == int(chosen[k]) and may == tuple(mine["allowed"][k].tolist())
+            for k, (_, may, best) in enumerate(first)
         ]
         spans = np.diff([step for step, *_ in chooser.rows[:3]])
-        np.testing.assert_allclose(np.log(mine.discount[:2]) / np.log(0.99), spans, rtol=0, atol=1.01)
-        if len(mine) == len(chooser.rows):
+        np.testing.assert_allclose(np.log(mine["discount"][:2]) / np.log(0.99), spans, rtol=0, atol=1.01)
+        if len(chosen) == len(chooser.rows):
             assert own.reward == pytest.approx(sum(rewards), abs=1e-6)
+        gains, spans = discounted(np.array(rewards), [step for step, *_ in chooser.rows], 0.99)
+        if len(gains) == len(chosen) and np.allclose(mine["discount"][:-1], 0.99 ** spans[:-1]):
+            np.testing.assert_allclose(mine["gain"], gains, rtol=0, atol=1e-5)
+            equal += 1
+    assert equal
     assert np.mean(agree) > 0.9  # the robot on the device knows of the person's last step a step later
 
 
@@ -145,29 +158,27 @@ def test_every_episode_is_accounted_for(episodes: Sequence[RearrangeEpisode], sh
     networks = {name: network(name, settings=settings) for name in settings.learners}
     players = TensorPlayers(episodes, "cpu")
     assert players.size == 4
-    played = players.play(jobs_of(5, networks, "partner_0"))
-    again = players.play(jobs_of(5, networks, "partner_0"))
-    assert [p.reward for p in played] == [p.reward for p in again]
-    for one in played:
-        assert set(one.decisions) == {ROBOT, "partner_0"}
-        assert one.steps <= SHORT.max_steps
-        assert one.ended in ("success", "max_steps")
-        for decisions in one.decisions.values():
-            assert decisions.allowed[np.arange(len(decisions)), decisions.chosen].all()
-            assert (decisions.log_prob <= 0).all()
-            assert decisions.discount[-1] == 0
-            assert (decisions.discount[:-1] < 1).all()
-            assert not decisions.state[0].any()
-            assert decisions.state[1:].any(1).all()
+    played, decisions = players.play(jobs_of(5, networks, "partner_0"))
+    again, _ = players.play(jobs_of(5, networks, "partner_0"))
+    assert played == again
+    assert all(one.steps <= SHORT.max_steps and one.ended in ("success", "max_steps") for one in played)
+    assert set(decisions) == {ROBOT, "partner_0"}
+    for own in decisions.values():
+        assert own.partners == ("partner_0",) * 5
+        assert sum(own.counts) == len(own)
+        for episode in by_episode(own):
+            assert episode["allowed"][np.arange(len(episode["chosen"])), episode["chosen"]].all()
+            assert (episode["log_prob"] <= 0).all()
+            assert episode["discount"][-1] == 0
+            assert (episode["discount"][:-1] < 1).all()
+            assert not episode["state"][0].any()
+            assert episode["state"][1:].any(1).all()
 
 
 def test_other_seeds_play_otherwise(episodes: Sequence[RearrangeEpisode], short: None) -> None:
     players, policy = TensorPlayers(episodes, "cpu"), network()
     chosen = [
-        [
-            p.decisions[ROBOT].chosen.tolist()
-            for p in players.play([job._replace(seed=s) for job in jobs_of(3, {ROBOT: policy})])
-        ]
+        players.play([job._replace(seed=s) for job in jobs_of(3, {ROBOT: policy})]).decisions[ROBOT].chosen.tolist()
         for s in (1, 2)
     ]
     assert chosen[0] != chosen[1]
@@ -257,7 +268,7 @@ def test_device_and_full_rules_judge_alike(monkeypatch: pytest.MonkeyPatch) -> N
         Job(number=n, entry=n, partner=partner_plan("plan_pop_3", s), networks={ROBOT: robot}, seed=1, gamma=0.99)
         for n, s in enumerate(seeds)
     ]
-    device = [(p.ended == "success", p.steps) for p in TensorPlayers(episodes, "cpu").play(jobs)]
+    device = [(p.ended == "success", p.steps) for p in TensorPlayers(episodes, "cpu").play(jobs).played]
     full = []
     for episode in episodes:
         play = task.play(episode, task.assign(episode, {"robot": "learn_single", "human": "plan_pop_3"}))

@@ -14,6 +14,8 @@ import msgspec
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data_pipelines.cli import main
@@ -24,7 +26,7 @@ from h3data_training.populations import playing
 from h3data_training.populations import run as runs
 from h3data_training.populations.learner import ChooserLearner, plan_at
 from h3data_training.populations.networks import Chooser
-from h3data_training.populations.playing import Decisions, Job, Players, discounted
+from h3data_training.populations.playing import Batch, Decisions, Job, Players, discounted
 from h3data_training.populations.pool import draw_pool, episodes_of, pool_of, pool_order
 from h3data_training.populations.run import CHECKPOINT, POLICY, train
 from h3data_training.populations.settings import NAMES, ROBOT, PopulationSettings
@@ -311,18 +313,17 @@ def test_an_ablation_is_kept_by_its_file(
         assert robot.digest != replace(robot, card=msgspec.structs.replace(robot.card, primitives=True)).digest
     with pytest.raises(InputError, match="has without="):
         train(tmp_path, replace(settings, without=()), workers=1, episodes=episodes, resume=True)
-    card = msgspec.structs.replace(robot.card, observations=robot.observations[1:])
-    with pytest.raises(InputError, match=r"expected .*, or these without other_way_to_objects"):
+    card = msgspec.structs.replace(robot.card, observations=robot.observations[::-1])
+    with pytest.raises(InputError, match=r"expected some of .* in this order"):
         ChooserNetwork(card=card, arrays=robot.arrays)
 
 
-def test_files_of_before_play_as_before() -> None:
-    """Their cards do not say anything of primitives, and their digests are those that recordings name."""
+def test_files_of_before_still_play() -> None:
+    """Their cards do not say anything of primitives, they are shown less, and their digests are those that recordings name."""
     network = network_of("plan_pop_3_robot")
     assert isinstance(network, ChooserNetwork)
     assert network.card.primitives
     assert network.offered.all()
-    assert network.observations == OBSERVATIONS
     assert network.digest.startswith("6fc1c62be73f4cf0")
 
 
@@ -354,6 +355,7 @@ def fabricated(rng: np.random.Generator, *, wanted: int, network: ChooserNetwork
         allowed=np.tile(may, (count, 1)), chosen=chosen,
         log_prob=np.array([p[k] for p, k in zip(log_probs, chosen, strict=True)], np.float32),
         gain=10.0 * (chosen == wanted).astype(np.float32), discount=np.append(np.full(count - 1, 0.5), 0).astype(np.float32),
+        counts=np.array([count]), partners=(SMALL.partners[0],),
     )  # fmt: skip
 
 
@@ -368,21 +370,37 @@ def test_it_learns_what_pays(name: str) -> None:
         played = [fabricated(rng, wanted=5, network=network) for _ in range(4)]
         assert not any((d.chosen == 3).any() for d in played)
         shares.append(np.mean([(d.chosen == 5).mean() for d in played]))
-        partner = settings.partners[0]
-        row = learner.update([(partner, d) for d in played], plan_at(settings, update / 6, update), update=update)
+        every = Batch.joined([Batch((), {name: d}) for d in played]).decisions[name]
+        row = learner.update(every, plan_at(settings, update / 6, update), update=update)
         assert np.isfinite(list(row.values())).all()
     assert np.mean(shares[-2:]) > shares[0] + 0.3
 
 
 def test_advantages_reach_over_decisions_of_any_length() -> None:
-    rng, network = np.random.default_rng(3), chooser()
-    decisions = fabricated(rng, wanted=1, network=network)
-    value = rng.normal(size=len(decisions)).astype(np.float32)
-    found = learning._advantages(decisions, value, scale=0.1, lam=1.0) + value
-    expected, after = np.zeros(len(decisions)), 0.0
-    for k in reversed(range(len(decisions))):
-        expected[k] = after = 0.1 * decisions.gain[k] + decisions.discount[k] * after
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    rng, counts = np.random.default_rng(3), np.array([7, 1, 20, 16])
+    ends = counts.cumsum()
+    gain, value = (torch.tensor(rng.normal(size=ends[-1]).astype(np.float32)) for _ in range(2))
+    discount = torch.tensor(rng.uniform(0.3, 1.0, ends[-1]).astype(np.float32))
+    discount[ends - 1] = 0.0
+    found = {lam: learning.advantages(gain, discount, value, torch.tensor(counts), lam=lam) for lam in (0.0, 0.9, 1.0)}
+    after, estimate = 0.0, 0.0
+    for k in reversed(range(ends[-1])):
+        follows = float(value[k + 1]) if k + 1 < ends[-1] else 0.0
+        wrong = float(gain[k]) + float(discount[k]) * follows - float(value[k])
+        after, estimate = float(gain[k] + discount[k] * after), wrong + 0.9 * float(discount[k]) * estimate
+        expected = {0.0: wrong, 0.9: estimate, 1.0: after - float(value[k])}
+        assert {lam: float(a[k]) for lam, a in found.items()} == pytest.approx(expected, abs=1e-4)
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=9), st.integers(1, 20))
+def test_chunks_hold_every_decision_once_and_none_of_two_episodes(counts: list[int], length: int) -> None:
+    at, valid = learning.chunks_of(torch.tensor(counts), length)
+    assert sorted(at[valid].tolist()) == list(range(sum(counts)))
+    assert at.shape == (length, sum(-(-count // length) for count in counts))
+    episode = np.repeat(np.arange(len(counts)), counts)[at.numpy()]
+    assert (episode == episode[0]).all()
+    assert (np.diff(at.numpy(), axis=0)[valid[1:].numpy()] == 1).all()
+    assert valid[0].all()
 
 
 # --- runs ---------------------------------------------------------------------------------------------------------------
@@ -458,7 +476,7 @@ def jobs(count: int) -> list[Job]:
 def test_a_lost_process_costs_nothing(
     episodes: Sequence[RearrangeEpisode], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = [(p.steps, p.decisions[ROBOT].chosen.tolist()) for p in Players(episodes, 1).play(jobs(4))]
+    expected, wanted = Players(episodes, 1).play(jobs(4))
     once, play_episode = tmp_path / "once", playing.play_episode
 
     def dies_once(job: Job, episode: RearrangeEpisode) -> Any:  # forked processes have it too
@@ -470,11 +488,12 @@ def test_a_lost_process_costs_nothing(
     monkeypatch.setattr(playing, "play_episode", dies_once)
     said: list[str] = []
     players = Players(episodes, 2, say=said.append)
-    found = [(p.steps, p.decisions[ROBOT].chosen.tolist()) for p in players.play(jobs(4))]
+    found, decisions = players.play(jobs(4))
     players.close()
     assert once.exists()
     assert any("played again" in line for line in said)
     assert found == expected
+    np.testing.assert_array_equal(decisions[ROBOT].chosen, wanted[ROBOT].chosen)
 
 
 def test_processes_that_die_again_and_again_end_the_run(
@@ -500,7 +519,7 @@ def test_an_episode_that_raises_is_left_out(
     monkeypatch.setattr(playing, "play_episode", raises)
     said: list[str] = []
     players, raising = Players(episodes, 1, say=said.append), {1}
-    assert len(players.play(jobs(3))) == 2
+    assert len(players.play(jobs(3)).played) == 2
     assert said == ["left out episode 1: ValueError: no such luck"]
     raising = {0, 1, 2}
     with pytest.raises(H3DataError, match="No episode could be played"):

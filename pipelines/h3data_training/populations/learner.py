@@ -5,7 +5,8 @@ A decision takes as many simulated steps as it takes; what comes after it is dis
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,9 @@ from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.policies.choosers.chooser_network import KIND, ChooserNetwork
 from sim_kinematic.policies.pictured import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+
+LEARNED_FROM = ("each", "rest", "allowed", "chosen", "log_prob", "told", "advantage", "target")
+"""Columns of a minibatch."""
 
 
 class Plan(NamedTuple):
@@ -61,42 +65,37 @@ class ChooserLearner:
         )  # fmt: skip
         return ChooserNetwork(card=card, arrays=self.net.arrays())
 
-    def update(self, played: Sequence[tuple[str, Decisions]], plan: Plan, *, update: int) -> dict[str, float]:
-        """Learns from episodes, each with its partner; returns losses by name."""
+    def update(self, decisions: Decisions, plan: Plan, *, update: int) -> dict[str, float]:
+        """Learns from decisions; returns losses by name."""
         s = self.settings
         for group in self.optimizer.param_groups:
             group["lr"] = plan.rate
-        told = [self._told(partner, decisions) for partner, decisions in played]
+        x = {
+            f.name: torch.as_tensor(getattr(decisions, f.name), device=self.device)
+            for f in fields(decisions)
+            if f.name != "partners"
+        }
+        counts = x.pop("counts")
+        told = self._told(x, counts, decisions.partners)
         with torch.no_grad():
-            values = (
-                self.net.worth(torch.cat(told).to(self.device)).squeeze(-1).cpu().split([len(d) for _, d in played])
-            )
-        advantages, targets = [], []
-        for (_, decisions), value in zip(played, values, strict=True):
-            advantage = _advantages(decisions, value.numpy(), scale=s.reward_scale, lam=s.gae_lambda)
-            advantages.append(advantage)
-            targets.append(advantage + value.numpy())
-        every = np.concatenate(advantages)
-        middle, spread = float(every.mean()), float(every.std()) + 1e-4
-        chunks = [
-            chunk
-            for (_, decisions), known, advantage, target in zip(played, told, advantages, targets, strict=True)
-            for chunk in _chunks(decisions, known, (advantage - middle) / spread, target, length=s.chunk)
-        ]
-        rows = {name: torch.stack([chunk[name] for chunk in chunks], 1) for name in chunks[0] if name != "state"}
-        batch = {name: tensor.to(self.device) for name, tensor in rows.items()}
-        states = torch.stack([chunk["state"] for chunk in chunks]).to(self.device)
+            value = self.net.worth(told).squeeze(-1)
+        advantage = advantages(x["gain"] * s.reward_scale, x["discount"], value, counts, lam=s.gae_lambda)
+        target, spread = advantage + value, advantage.std(correction=0) + 1e-4
+        x |= {"told": told, "target": target, "advantage": (advantage - advantage.mean()) / spread}
+        at, valid = chunks_of(counts, s.chunk)
+        states = x["state"][at[0]]
+        batch = {name: x[name][at] for name in LEARNED_FROM} | {"valid": valid.float()}
+        batch["allowed"] |= ~valid[..., None]
         sums, count, moved = np.zeros(4), 0, 0.0
         for epoch in range(s.epochs):
             if moved > s.kl_most:
                 break
             rng = generator(self.seed, f"minibatches/{self.name}", step=update * s.epochs + epoch)
-            order = torch.as_tensor(rng.permutation(len(chunks)), device=self.device)
+            order = torch.as_tensor(rng.permutation(at.shape[1]), device=self.device)
             parts = order.split(s.chunks_per_minibatch)
             means = [self._step({n: t[:, rows] for n, t in batch.items()}, states[rows], plan) for rows in parts]
             sums, count, moved = sums + sum(means), count + len(means), float(np.mean(means, 0)[2])
-        target = np.concatenate(targets)
-        explained = 1 - float(every.var()) / max(float(target.var()), 1e-8)
+        explained = 1 - float(advantage.var()) / max(float(target.var()), 1e-8)
         names = ("value_loss", "entropy", "kl", "clipped")
         last = {"kl": moved, "explained": explained, "gradient_steps": count}
         return dict(zip(names, (sums / count).tolist(), strict=True)) | last
@@ -121,41 +120,35 @@ class ChooserLearner:
         self.optimizer.step()
         with torch.no_grad():
             outside = ((ratio - 1).abs() > s.clip).float()
-            means = [((t * valid).sum() / total).item() for t in (entropy, (ratio - 1) - moved, outside)]
-        return np.array([wrong.item(), *means])
+            parts = (entropy, (ratio - 1) - moved, outside)
+            means = torch.stack([wrong, *((t * valid).sum() / total for t in parts)])
+        return means.double().cpu().numpy()
 
-    def _told(self, partner: str, decisions: Decisions) -> Tensor:
+    def _told(self, x: Mapping[str, Tensor], counts: Tensor, partners: Sequence[str]) -> Tensor:
         """Inputs of the critic, which include who the partner is, [D, n]."""
-        one = np.zeros((len(decisions), len(self.settings.partners)), np.float32)
-        one[:, self.settings.partners.index(partner)] = 1.0
-        columns = decisions.each.reshape(len(decisions), -1), decisions.rest, one
-        return torch.as_tensor(np.concatenate(columns, 1))
+        number = torch.tensor([self.settings.partners.index(name) for name in partners], device=self.device)
+        one = nn.functional.one_hot(number.repeat_interleave(counts), len(self.settings.partners))
+        return torch.cat([x["each"].flatten(1), x["rest"], one.float()], 1)
 
 
-def _advantages(decisions: Decisions, value: np.ndarray, *, scale: float, lam: float) -> np.ndarray:
-    """Generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths, [D]."""
-    after = decisions.discount * np.append(value[1:], 0.0)
-    found = (scale * decisions.gain + after - value).astype(np.float32)
-    for k in reversed(range(len(found) - 1)):
-        found[k] += lam * decisions.discount[k] * found[k + 1]
-    return found
+def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *, lam: float) -> Tensor:
+    """Generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths [D], so many in each of E
+    episodes."""
+    found = gain + discount * value.roll(-1) - value  # after the last of an episode the discount is 0
+    at, valid = chunks_of(counts, int(counts.max()))
+    rows, kept = found[at] * valid, discount[at] * valid * lam
+    for k in reversed(range(len(rows) - 1)):
+        rows[k] += kept[k] * rows[k + 1]
+    return found.index_put((at[valid],), rows[valid])
 
 
-def _chunks(
-    decisions: Decisions, told: Tensor, advantage: np.ndarray, target: np.ndarray, *, length: int
-) -> list[dict[str, Tensor]]:
-    """Consecutive decisions, so many in each and the last one padded, with the recurrent state before the first."""
-    columns = {
-        "each": decisions.each, "rest": decisions.rest, "allowed": decisions.allowed, "chosen": decisions.chosen,
-        "log_prob": decisions.log_prob, "told": told.numpy(), "advantage": advantage, "target": target,
-        "valid": np.ones(len(decisions), np.float32),
-    }  # fmt: skip
-    chunks = []
-    for first in range(0, len(decisions), length):
-        chunk = {}
-        for name, column in columns.items():
-            part = column[first : first + length]
-            pad = [(0, length - len(part))] + [(0, 0)] * (part.ndim - 1)
-            chunk[name] = torch.as_tensor(np.pad(part, pad, constant_values=name == "allowed"))
-        chunks.append(chunk | {"state": torch.as_tensor(decisions.state[first])})
-    return chunks
+def chunks_of(counts: Tensor, length: int) -> tuple[Tensor, Tensor]:
+    """Chunks of consecutive decisions of E episodes, with ``counts`` [E] decisions in each: their numbers [length, C], and
+    which of them there are, bool. The last chunk of an episode may be shorter; its last number is then repeated."""
+    chunks = (counts + length - 1) // length
+    ends = counts.cumsum(0)
+    end = ends.repeat_interleave(chunks)
+    before = torch.arange(len(end), device=counts.device) - (chunks.cumsum(0) - chunks).repeat_interleave(chunks)
+    start = (ends - counts).repeat_interleave(chunks) + before * length
+    at = start + torch.arange(length, device=counts.device)[:, None]
+    return torch.minimum(at, end - 1), at < end

@@ -14,8 +14,8 @@ from torch.nn import functional as F
 from h3data_training.populations.settings import PopulationSettings
 from sim_kinematic.policies.choosers.chooser_network import SKILLS_WITH_OBJECT, input_lengths, rest_count
 
-PERSIST = 3.0
-"""At first, who is interrupted on their way goes on 9 times out of 10: else nobody would ever arrive."""
+PERSIST = 4.5
+"""At first, who is interrupted on their way goes on 97 times out of 100: else nobody would ever arrive."""
 AT_HAND, ASIDE = 1.0, -2.0
 """First biases of picking and placing what one has come for, and of waiting and the primitives."""
 

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
@@ -56,34 +56,37 @@ class Job(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decisions:
-    """All D decisions of one learner in one episode."""
+    """All D decisions of one learner in E episodes, one episode after the other: arrays, or tensors on a device."""
 
-    each: Floats
+    each: Any
     """Inputs of each object, [D, K, F] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
-    rest: Floats
+    rest: Any
     """The other inputs, [D, R]."""
-    state: Floats
+    state: Any
     """Recurrent state before the decision, [D, H]."""
-    allowed: NDArray[np.bool_]
-    """[D, C]."""
-    chosen: NDArray[np.int64]
-    log_prob: Floats
-    gain: Floats
+    allowed: Any
+    """Bool [D, C]."""
+    chosen: Any
+    """Int64 [D]."""
+    log_prob: Any
+    gain: Any
     """Reward until the next decision, discounted to this one, [D]."""
-    discount: Floats
+    discount: Any
     """Of what comes from the next decision on, [D]; 0 after the last: an episode ends for good, since its time is known."""
+    counts: NDArray[np.int64]
+    """Decisions of each episode, [E]: D in all."""
+    partners: tuple[str, ...]
+    """Who was beside the robot in each, [E]."""
 
     def __len__(self) -> int:
         return len(self.chosen)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class Played:
-    """One training episode."""
+    """How one training episode went."""
 
     partner: str
-    decisions: Mapping[str, Decisions]
-    """By learner."""
     steps: int
     ended: str
     reward: float
@@ -91,6 +94,30 @@ class Played:
     """Objects that the robot was the last to put at their goals,"""
     at_goal: int
     """of so many that are there."""
+
+
+class Batch(NamedTuple):
+    """Training episodes, and all decisions in them by learner."""
+
+    played: tuple[Played, ...]
+    decisions: Mapping[str, Decisions]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Batch]) -> Batch:
+        """One episode after the other."""
+        found: dict[str, list[Decisions]] = {}
+        for part in parts:
+            for name, decisions in part.decisions.items():
+                found.setdefault(name, []).append(decisions)
+        columns = [f.name for f in fields(Decisions) if f.name != "partners"]
+        joined = {
+            name: Decisions(
+                **{column: np.concatenate([getattr(one, column) for one in own]) for column in columns},
+                partners=tuple(partner for one in own for partner in one.partners),
+            )
+            for name, own in found.items()
+        }
+        return cls(tuple(played for part in parts for played in part.played), joined)
 
 
 class _Sampler(RecurrentChooser):
@@ -109,13 +136,14 @@ class _Sampler(RecurrentChooser):
         self.steps.append(view.step)
         return chosen
 
-    def decisions(self, rewards: Sequence[float], gamma: float) -> Decisions:
+    def decisions(self, rewards: Sequence[float], gamma: float, partner: str) -> Decisions:
         """All decisions with the reward that followed each; ``rewards`` are those of each simulated step."""
         each, rest, state, allowed, chosen, log_prob = (np.array(column) for column in zip(*self.rows, strict=True))
         gains, spans = discounted(np.array(rewards), self.steps, gamma)
         return Decisions(
             each=each, rest=rest, state=state, allowed=allowed, chosen=chosen, log_prob=log_prob.astype(np.float32),
             gain=gains.astype(np.float32), discount=np.append(gamma ** spans[:-1], 0.0).astype(np.float32),
+            counts=np.array([len(chosen)]), partners=(partner,),
         )  # fmt: skip
 
 
@@ -133,7 +161,7 @@ def discounted(rewards: Floats, steps: Sequence[int], gamma: float) -> tuple[Flo
     return np.array(gains), np.diff(edges)
 
 
-def play_episode(job: Job, episode: RearrangeEpisode) -> Played:
+def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
     """Plays one training episode."""
     objects = len(episode.targets)
     samplers: dict[str, _Sampler] = {}
@@ -150,15 +178,16 @@ def play_episode(job: Job, episode: RearrangeEpisode) -> Played:
     run(play, progress=lambda _: rewards.append(play.reward))
     there = [name for name, at_goal in zip(play.objects.names, play.at_goal.tolist(), strict=True) if at_goal]
     by = {event.target: event.agent for event in play.events if event.kind == "place"}
-    return Played(
+    played = Played(
         partner=job.partner,
-        decisions={name: sampler.decisions(rewards, job.gamma) for name, sampler in samplers.items()},
         steps=play.steps,
         ended=play.ended,
         reward=float(np.sum(rewards)),
         placed=sum(by.get(name) == 0 for name in there),
         at_goal=len(there),
     )
+    found = {name: sampler.decisions(rewards, job.gamma, job.partner) for name, sampler in samplers.items()}
+    return Batch((played,), found)
 
 
 # --- processes ----------------------------------------------------------------------------------------------------------
@@ -188,13 +217,13 @@ class Players:
         """Compiles and loads code once, before there are several processes, by playing some episodes."""
         self.play(jobs)
 
-    def play(self, jobs: Sequence[Job]) -> list[Played]:
+    def play(self, jobs: Sequence[Job]) -> Batch:
         """Plays some episodes, in their order; those that raise are left out.
 
         Raises:
             H3DataError: processes are lost again and again, or every episode raises.
         """
-        played: dict[int, Played | str] = {}
+        played: dict[int, Batch | str] = {}
         lost = 0
         while len(played) < len(jobs):
             before = len(played)
@@ -216,7 +245,7 @@ class Players:
             self._say(f"left out {fault}")
         if len(faults) == len(jobs):
             raise H3DataError(f"No episode could be played: {faults[0]}")
-        return [result for job in jobs if isinstance(result := played[job.number], Played)]
+        return Batch.joined([result for job in jobs if isinstance(result := played[job.number], Batch)])
 
     def _results(self, jobs: Sequence[Job]) -> Any:
         if self.workers == 1:
@@ -249,7 +278,7 @@ def _end_with_parent() -> None:
         _exit(1)
 
 
-def _tried(job: Job) -> Played | str:
+def _tried(job: Job) -> Batch | str:
     try:
         return play_episode(job, _EPISODES[job.entry])
     except Exception as fault:  # one episode of thousands: the others count

@@ -92,7 +92,7 @@ def _players(
         return Players(episodes, workers, say=say)
     from h3data_training.populations.worlds import TensorPlayers
 
-    return TensorPlayers(episodes, device)
+    return TensorPlayers(episodes, device, prepared_by=workers)
 
 
 def _kept(folder: Path, settings: PopulationSettings, seed: int) -> dict[str, Any] | None:
@@ -192,15 +192,14 @@ class _Run:
         """Plays the episodes of one update and learns from them; returns a row of the learning curve."""
         update, start = len(self.curve), time.monotonic()
         plan = plan_at(self.settings, share, update)
-        played = self.players.play(self._jobs(update))
+        played, found = self.players.play(self._jobs(update))
         playing_s = time.monotonic() - start
         losses: dict[str, dict[str, float]] = {}
         for name, learner in self.learners.items():
-            own = [(p.partner, p.decisions[name]) for p in played if name in p.decisions]
-            if own:
-                losses[name] = learner.update(own, plan, update=update)
+            if name in found:
+                losses[name] = learner.update(found[name], plan, update=update)
         before = self.curve[-1] if self.curve else {}
-        decisions = sum(len(d) for p in played for d in p.decisions.values())
+        decisions = sum(map(len, found.values()))
         steps = sum(p.steps for p in played)
         row = {
             "update": update + 1, "episodes": before.get("episodes", 0) + len(played),

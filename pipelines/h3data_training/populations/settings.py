@@ -39,8 +39,8 @@ class PopulationSettings:
 
     population: str = "plan_pop_3"
     scenes: str = "h3-homes/train"
-    episodes_per_home: int = 8
-    """Episodes are drawn once and played again and again, beside other partners: drawing one costs more than playing it."""
+    episodes_per_home: int = 32
+    """Episodes are drawn once and played again and again, beside other partners. With 8 a robot does worse in other homes."""
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = BOTH

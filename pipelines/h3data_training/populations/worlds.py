@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from h3data_training.populations.playing import Decisions, Job, Played, discounted
+from h3data_training.populations.playing import Batch, Decisions, Job, Played
 from h3data_training.populations.settings import ROBOT
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.choosers.chooser_network import (
@@ -26,7 +26,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
     hides,
     rest_count,
 )
-from sim_kinematic.policies.choosers.recurrent_chooser import CLOSE_STEPS
+from sim_kinematic.policies.choosers.recurrent_chooser import ALERT_M, ALERT_STEPS
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
 from sim_kinematic.torch.graph import captured, overwrite
@@ -46,12 +46,17 @@ class TensorPlayers:
 
     workers = 1
 
-    def __init__(self, episodes: Sequence[RearrangeEpisode], device: torch.device | str) -> None:
+    def __init__(self, episodes: Sequence[RearrangeEpisode], device: torch.device | str, *, prepared_by: int = 1) -> None:
         """
+        Args:
+            episodes: Those to choose from.
+            device: Where the worlds are.
+            prepared_by: Processes that search for paths, before CUDA begins.
+
         Raises:
             InputError: as `RearrangeBank.of`.
         """
-        self._bank = RearrangeBank.of([replace(episode, spec=ORACLE_RULES) for episode in episodes])
+        self._bank = RearrangeBank.of([replace(episode, spec=ORACLE_RULES) for episode in episodes], workers=prepared_by)
         self.device = torch.device(device)
         self._worlds: _Worlds | None = None
 
@@ -63,7 +68,7 @@ class TensorPlayers:
     def warm_up(self, jobs: Sequence[Job]) -> None:
         """Nothing is compiled."""
 
-    def play(self, jobs: Sequence[Job]) -> list[Played]:
+    def play(self, jobs: Sequence[Job]) -> Batch:
         """Plays some episodes, in their order, all at once."""
         casts = _casts(jobs)
         with torch.no_grad():
@@ -103,7 +108,7 @@ class _Worlds:
         self._rewards = torch.zeros(self._longest, count, dtype=self._sim.dtype, device=device)
         self._advance = self._eager
 
-    def played(self, jobs: Sequence[Job]) -> list[Played]:
+    def played(self, jobs: Sequence[Job]) -> Batch:
         """Some episodes, in their order."""
         device, seed = self._sim.device, episode_seed(jobs[0].seed, jobs[0].number) % 2**63
         entries = torch.tensor([job.entry for job in jobs], device=device)
@@ -125,8 +130,7 @@ class _Worlds:
             steps += 1
             if steps % LOOKS_EVERY == 1 and bool(self._play.ended.all()):
                 break
-        rewards = self._rewards[:steps].T.double().cpu().numpy()
-        return _results(self._sim, self._play, jobs, self._choosers, rewards)
+        return _batch(self._sim, self._play, jobs, self._choosers, self._rewards[:steps].double())
 
     def _eager(self) -> None:
         """One step of all worlds, in place."""
@@ -143,26 +147,30 @@ def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
     return torch.as_tensor(orders(plans, objects), device=device)
 
 
-def _results(
-    sim: RearrangeTensors, play: Play, jobs: Sequence[Job], choosers: Sequence[_Chooser], rewards: np.ndarray
-) -> list[Played]:
+def _batch(
+    sim: RearrangeTensors, play: Play, jobs: Sequence[Job], choosers: Sequence[_Chooser], rewards: Tensor
+) -> Batch:
     at_goal = sim.at_goal(View.of(sim, play, ROBOT).hands, sim.tables.at(play.episode))
     placed = (at_goal & (play.placed_by == 0)).sum(1)
-    columns = (play.steps, play.success, play.collides, at_goal.sum(1), placed)
-    facts = [column.tolist() for column in columns]
-    made = [chooser.decisions(rewards, facts[0], jobs[0].gamma) for chooser in choosers]
-    return [
+    columns = (play.steps, play.success, play.collides, at_goal.sum(1), placed, rewards.sum(0))
+    played = tuple(
         Played(
             partner=job.partner,
-            decisions={chooser.names[w]: made[c][w] for c, chooser in enumerate(choosers)},
             steps=steps,
             ended="success" if success else "collision" if collides else "max_steps",
-            reward=float(rewards[w].sum()),
+            reward=reward,
             placed=by_robot,
             at_goal=there,
         )
-        for w, (job, steps, success, collides, there, by_robot) in enumerate(zip(jobs, *facts, strict=True))
-    ]
+        for job, steps, success, collides, there, by_robot, reward in zip(
+            jobs, *(column.tolist() for column in columns), strict=True
+        )
+    )
+    partners, gamma = tuple(job.partner for job in jobs), jobs[0].gamma
+    found: dict[str, Decisions] = {}
+    for chooser in choosers:
+        found |= chooser.decisions(rewards, play.steps, gamma, partners)
+    return Batch(played, found)
 
 
 class _Row(NamedTuple):
@@ -182,7 +190,6 @@ class _Chooser:
 
     def __init__(self, sim: RearrangeTensors, cast: Sequence[tuple[str, int]], agent: str) -> None:
         """``cast`` are names and in how many worlds each plays."""
-        self.names: list[str] = []
         self._sim, self._agent = sim, agent
         self._rows = {name: torch.zeros(n, dtype=torch.int64, device=sim.device) for name, n in cast}
         self._arrays: dict[str, Arrays] = {}
@@ -200,8 +207,8 @@ class _Chooser:
 
     def begin(self, jobs: Sequence[Job], names: Sequence[str], dice: torch.Generator, *, steps: int) -> None:
         """New episodes of so many steps at most, with the networks of today in the worlds whose ``names`` they have."""
-        device, self.names = self._sim.device, list(names)
-        first = jobs[0].networks[self.names[0]]  # learners of one agent differ in their weights only
+        device = self._sim.device
+        first = jobs[0].networks[names[0]]  # learners of one agent differ in their weights only
         self._hold, self._observations = first.card.hold, first.card.observations
         shape = steps, len(names), len(self._sim.choices(self._agent))
         noise = torch.rand(shape, generator=dice, device=device)
@@ -252,29 +259,35 @@ class _Chooser:
         busy, since = does.skill != FREE, play.steps - self._thought
         walks = busy & ((kind == NAV_OBJECT) | (kind == NAV_GOAL))
         taken = (kind == NAV_OBJECT) & (holder != NOBODY) & (holder != view.who)
-        stops = walks & (taken | (view.close & (since >= CLOSE_STEPS)) | (since >= self._hold))
+        gap = view.other - view.xz
+        alert = torch.hypot(gap[:, 0], gap[:, 1]) < ALERT_M
+        stops = walks & (taken | (alert & (since >= ALERT_STEPS)) | (since >= self._hold))
         does = does._replace(
             last=torch.where(stops, does.skill, does.last), outcome=torch.where(stops, ABORTED, does.outcome)
         )
         return ~play.ended & (~busy | stops), view._replace(does=does)
 
-    def decisions(self, rewards: np.ndarray, steps: Sequence[int], gamma: float) -> list[Decisions]:
-        """Those of each world; ``rewards`` are [W, T], of which each world has played some ``steps``."""
-        world, when = self._kept["asked"][: rewards.shape[1]].T.nonzero().unbind(1)  # one world after the other
-        columns = {name: t[when, world].cpu().numpy() for name, t in self._kept.items() if name != "asked"}
-        ends = np.cumsum(np.bincount(world.cpu().numpy(), minlength=len(steps)))
-        times = np.split(when.cpu().numpy(), ends[:-1])
-        parts = {name: np.split(column, ends[:-1]) for name, column in columns.items()}
-        found = []
-        for w, count in enumerate(steps):
-            gains, spans = discounted(rewards[w, :count], times[w].tolist(), gamma)
-            found.append(
-                Decisions(
-                    **{name: part[w] for name, part in parts.items()},
-                    gain=gains.astype(np.float32),
-                    discount=np.append(gamma ** spans[:-1], 0.0).astype(np.float32),
-                )
-            )
+    def decisions(self, rewards: Tensor, steps: Tensor, gamma: float, partners: Sequence[str]) -> dict[str, Decisions]:
+        """Those of each learner; ``rewards`` are [T, W], of which each world has played some ``steps`` [W]."""
+        asked = self._kept["asked"][: len(rewards)]
+        world, when = asked.T.nonzero().unbind(1)  # one world after the other
+        is_last = torch.ones_like(world, dtype=torch.bool)
+        is_last[:-1] = world[1:] != world[:-1]
+        until = torch.where(is_last, steps[world], when.roll(-1))
+        powers = gamma ** torch.arange(len(rewards) + 1, dtype=torch.float64, device=rewards.device)
+        earned = torch.zeros(len(powers), rewards.shape[1], dtype=torch.float64, device=rewards.device)
+        earned[1:] = (rewards * powers[:-1, None]).cumsum(0)
+        gain = (earned[until, world] - earned[when, world]) / powers[when]
+        discount = torch.where(is_last, 0.0, powers[until - when])
+        found = {}
+        for name, rows in self._rows.items():
+            own = torch.isin(world, rows)
+            at = when[own], world[own]
+            found[name] = Decisions(
+                **{column: t[at] for column, t in self._kept.items() if column != "asked"},
+                gain=gain[own].float(), discount=discount[own].float(), counts=asked.sum(0)[rows].cpu().numpy(),
+                partners=tuple(partners[w] for w in rows.tolist()),
+            )  # fmt: skip
         return found
 
 
@@ -305,9 +318,11 @@ def encode(
 
 
 def _inputs(name: str, seen: Tensor) -> Tensor:
-    if name.endswith("gps_compass"):
-        d, a = seen.unbind(-1)
-        return torch.stack([d / 5, torch.exp(-d), a.cos(), a.sin()], -1)
+    if name.endswith(("gps_compass", "path_ahead")):
+        d, a = seen[..., 0::2], seen[..., 1::2]
+        return torch.cat([d / 5, torch.exp(-d), a.cos(), a.sin()], -1)
+    if name == "other_velocity":
+        return seen / 2.5
     if "way_to" in name:
         return torch.cat([seen.clamp_max(30.0) / 10, torch.exp(-seen / 2)], -1)
     return seen / 50 if name == "elapsed_s" else seen

@@ -27,15 +27,20 @@ SKILLS_WITH_OBJECT = 4
 """``nav_to_object``, ``nav_to_goal``, ``pick`` and ``place``, the first of `sim_kinematic.agents.skills.choices`."""
 OBSERVATIONS = (
     "obj_gps_compass", "obj_goal_gps_compass", "way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals",
-    "other_approach", "holds", "held_by_other", "at_goal", "other_gps_compass", "close", "elapsed_s", "last_done",
-    "last_failed", "interrupted",
+    "other_approach", "path_ahead", "other_path_ahead", "holds", "held_by_other", "at_goal", "other_gps_compass",
+    "other_velocity", "close", "elapsed_s", "last_done", "last_failed", "interrupted",
 )  # fmt: skip
 """What a chooser is shown, in this order (`sim_kinematic.policies.rearrange_observations.SENSES`)."""
-OF_OTHER = ("other_way_to_objects", "other_way_to_goals", "other_approach", "other_gps_compass", "close")
+OF_OTHER = (
+    "other_way_to_objects", "other_way_to_goals", "other_approach", "other_path_ahead", "other_gps_compass", "other_velocity",
+    "close",
+)  # fmt: skip
 """Observations that tell where the other agent is."""
 WITHOUT_OTHER = tuple(name for name in OBSERVATIONS if name not in OF_OTHER)
 """Observations of a chooser without the paper's humanoid GPS."""
-PLACES = ("obj_gps_compass", "way_to_objects")
+NEEDED = ("held_by_other", "last_done", "last_failed", "interrupted")
+"""Observations without which no chooser works."""
+PLACES = ("obj_gps_compass", "way_to_objects", "path_ahead")
 """Observations that tell where objects are. What the other agent holds is where that agent is, so a chooser without the GPS
 gets zeros there."""
 
@@ -51,8 +56,8 @@ class Encoding(NamedTuple):
 
 
 def _polar(seen: Floats) -> Floats:
-    d, a = seen[:, 0], seen[:, 1]
-    return np.stack([d / 5, np.exp(-d), np.cos(a), np.sin(a)], 1)
+    d, a = seen[:, 0::2], seen[:, 1::2]
+    return np.concatenate([d / 5, np.exp(-d), np.cos(a), np.sin(a)], 1)
 
 
 def _length(seen: Floats) -> Floats:
@@ -69,7 +74,9 @@ ENCODINGS: Mapping[str, Encoding] = {
         ("way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals"), Encoding(_length, 1, 2, True)
     ),
     **dict.fromkeys(("other_approach", "holds", "held_by_other", "at_goal"), Encoding(_plain, 1, 1, True)),
+    **dict.fromkeys(("path_ahead", "other_path_ahead"), Encoding(_polar, 4, 8, True)),
     "other_gps_compass": Encoding(_polar, 2, 4, False),
+    "other_velocity": Encoding(lambda seen: seen / 2.5, 2, 2, False),
     "close": Encoding(_plain, 1, 1, False),
     "elapsed_s": Encoding(lambda seen: seen / 50, 1, 1, False),
 }
@@ -235,10 +242,11 @@ def _faults(card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
         return [f"unknown network {card.network!r}, expected {KIND}"]
     if card.agent not in ("robot", "human"):
         return [f"it is for the agent {card.agent!r}, expected robot or human"]
-    if card.observations not in (OBSERVATIONS, WITHOUT_OTHER):
+    known = tuple(name for name in OBSERVATIONS if name in card.observations or name in NEEDED)
+    if card.observations != known:
         return [
-            f"it is shown {', '.join(card.observations) or 'nothing'}, expected {', '.join(OBSERVATIONS)}, or these without "
-            f"{', '.join(OF_OTHER)}"
+            f"it is shown {', '.join(card.observations) or 'nothing'}, expected some of {', '.join(OBSERVATIONS)}, in this "
+            f"order, and {', '.join(NEEDED)} among them"
         ]
     if not 1 <= card.objects <= 16:
         return [f"it knows {card.objects} objects, expected 1 to 16"]

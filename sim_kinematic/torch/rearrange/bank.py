@@ -4,7 +4,9 @@ stand, the shortest paths to there) is done once on the host, so that steps on a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,8 +93,9 @@ class RearrangeBank:
         return cls.of([one for one in episodes if isinstance(one, RearrangeEpisode)])
 
     @classmethod
-    def of(cls, episodes: Sequence[RearrangeEpisode]) -> RearrangeBank:
-        """A bank of these episodes of one robot and one person, under the rules of the first.
+    def of(cls, episodes: Sequence[RearrangeEpisode], *, workers: int = 1) -> RearrangeBank:
+        """A bank of these episodes of one robot and one person, under the rules of the first. Paths are searched for by so many
+        ``workers``, processes that are forked: call it before CUDA begins.
 
         Raises:
             InputError: somebody else plays, the rules have no oracle skills, or a device cannot move in a home.
@@ -104,7 +107,7 @@ class RearrangeBank:
         assert isinstance(human, Humanoid)
         homes = {id(episode.free): episode for episode in episodes}
         number = {key: k for k, key in enumerate(homes)}
-        ways = [_ways(episode) for episode in episodes]
+        ways = _all_ways(episodes, workers)
         widest = max(len(one.ends) for of_episode in ways for one in of_episode)
         ends = np.full((len(episodes), len(ways[0]), max(widest, 1), 2), np.nan)
         for n, of_episode in enumerate(ways):
@@ -154,6 +157,23 @@ class RearrangeBank:
 def orders(chosen: Sequence[Sequence[int]], objects: int) -> NDArray[np.int64]:
     """Objects in the order of a planner, -1 after the last, [N, K]."""
     return np.array([[*row, *[-1] * (objects - len(row))] for row in chosen], np.int64).reshape(-1, objects)
+
+
+_EPISODES: Sequence[RearrangeEpisode] = ()
+"""Those of this process, as they were when it was forked."""
+
+
+def _all_ways(episodes: Sequence[RearrangeEpisode], workers: int) -> list[list[Ways]]:
+    global _EPISODES
+    if workers == 1:
+        return [_ways(episode) for episode in episodes]
+    _EPISODES = episodes
+    with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
+        return list(pool.map(_ways_of, range(len(episodes)), chunksize=8))
+
+
+def _ways_of(number: int) -> list[Ways]:
+    return _ways(_EPISODES[number])
 
 
 def _ways(episode: RearrangeEpisode) -> list[Ways]:

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from h3data.errors import InputError
 from sim_kinematic.motion.spec import STEP_S
-from sim_kinematic.policies.rearrange_observations import NEARER_M
+from sim_kinematic.policies.rearrange_observations import AHEAD_M, NEARER_M
 from sim_kinematic.sensing.sensor import FAR_M
 from sim_kinematic.tasks.rearrange.play import TRACK
+from sim_kinematic.torch.rearrange.bank import FLOOR
 from sim_kinematic.torch.rearrange.skills import Choices, Hands, every_choice, one_of, precondition
 from sim_kinematic.torch.rearrange.state import ABORTED, DONE, FAILED, NOBODY, Errand, Play
 from sim_kinematic.torch.rearrange.tables import Places
@@ -86,6 +87,26 @@ class View(NamedTuple):
         then = self.play.track[torch.arange(len(row), device=row.device), row, them]
         return (self.ways(then)[0] - self.ways(self.other)[0]).clamp(-NEARER_M, NEARER_M)
 
+    def path_ahead(self, who: int) -> Tensor:
+        """Where agent ``who`` would be `AHEAD_M` further on, on the way to each object or with it to its goal, as this one sees
+        it, [W, K * 4]."""
+        play, count = self.play, self.sim.bank.objects
+        xz = (self.xz if who == self.who else self.other)[:, None].expand(-1, count, -1)
+        own, lies = play.held_by == who, play.held_by == NOBODY
+        number = torch.arange(count, device=xz.device)
+        field = 2 * FLOOR * count + number + count * (own | play.moved)
+        gap = play.objects[..., 0::2] - xz
+        away = torch.hypot(gap[..., 0], gap[..., 1]).clamp_min(1e-9)
+        straight = torch.stack([xz + gap * (length / away).clamp_max(1.0)[..., None] for length in AHEAD_M], -2)
+        points = torch.where((own | lies)[..., None, None], self.places.along(field, xz, AHEAD_M), straight)
+        return self.gps(points.flatten(1, 2))
+
+    def other_velocity(self) -> Tensor:
+        """Of the other agent over the ground, along the axes of this one, [W, 2] [m/s]."""
+        moved, ahead = self.other - self.play.before[:, 1 - self.who, :2], heading_direction(self.heading)
+        forward = (moved * ahead).sum(-1)
+        return torch.stack([forward, moved[:, 0] * ahead[:, 1] - moved[:, 1] * ahead[:, 0]], -1) / STEP_S
+
     def ended(self, outcome: int) -> Tensor:
         """One of the choices is 1: the last one, if it ended so, [W, C]."""
         return one_of(self.does.last, len(self.choices)) & (self.does.outcome == outcome)[:, None]
@@ -133,6 +154,9 @@ OBSERVED: Mapping[str, Callable[[View], Tensor]] = {
     "other_way_to_objects": lambda v: v.ways(v.other)[0],
     "other_way_to_goals": lambda v: v.ways(v.other)[1],
     "other_approach": View.approach,
+    "path_ahead": lambda v: v.path_ahead(v.who),
+    "other_path_ahead": lambda v: v.path_ahead(1 - v.who),
+    "other_velocity": View.other_velocity,
     "elapsed_s": lambda v: v.play.steps[:, None] * STEP_S,
 }
 """By name, [W, n]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +13,9 @@ from torch import Tensor
 
 from sim_kinematic.agents.oracle.ways import CELL_M
 from sim_kinematic.torch.rearrange.bank import FLOOR, RearrangeBank
+
+HOPS = 6
+"""Legs of a path that `Places.along` follows: corners are at least 25 cm apart, mostly a metre and more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,9 +112,10 @@ class Places(NamedTuple):
         return values.reshape(len(values), *[1] * (like.ndim - 1), values.shape[-1])
 
     def after(self, field: Tensor, number: Tensor) -> Tensor:
-        """The points after corners [W] of paths [W]."""
-        count = self.n
-        at = self.tables.after_of[self.episode] + field * count + torch.minimum(number.clamp_min(0), count - 1)
+        """The points after corners [W, ...] of paths [W, ...]."""
+        count = self._rows(self.n, field)
+        first = self._rows(self.tables.after_of[self.episode], field)
+        at = first + field * count + torch.minimum(number.clamp_min(0), count - 1)
         return self.tables.after[at.clamp_max(len(self.tables.after) - 1)].long()
 
     def points(self, field: Tensor, number: Tensor) -> Tensor:
@@ -121,6 +126,23 @@ class Places(NamedTuple):
         end = (number - count).clamp_min(0).clamp_max(self.tables.ends.shape[1] - 1)
         row = self._rows(self.episode, field) * self.tables.fields + field
         return torch.where((number >= count)[..., None], self.tables.ends[row, end], corner)
+
+    def along(self, field: Tensor, xz: Tensor, lengths_m: Sequence[float]) -> Tensor:
+        """Points so far along paths [W, ...] from points [W, ..., 2], or where they end, [W, ..., n, 2]; the points themselves
+        where there is no path. Nobody looks farther than `HOPS` corners."""
+        number, at, walked = self.first(field, xz), xz, torch.zeros_like(xz[..., 0])
+        is_path, found = number >= 0, [xz] * len(lengths_m)
+        for _ in range(HOPS):
+            gap = torch.where(is_path[..., None], self.points(field, number) - at, 0.0)
+            leg = torch.hypot(gap[..., 0], gap[..., 1])
+            parts = [((length - walked) / leg.clamp_min(1e-6)).clamp(0.0, 1.0) for length in lengths_m]
+            found = [
+                torch.where((length > walked)[..., None], at + part[..., None] * gap, point)
+                for length, part, point in zip(lengths_m, parts, found, strict=True)
+            ]
+            at, walked = at + gap, walked + leg
+            number = torch.where(number < self._rows(self.n, field), self.after(field, number), number)
+        return torch.stack(found, -2)
 
     def lengths(self, xz: Tensor) -> Tensor:
         """Lengths [W, 2 K] of the paths from points [W, 2] to the floor below starts and goals; inf where there is none."""

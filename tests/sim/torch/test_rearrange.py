@@ -41,7 +41,8 @@ KINDS = ("robot", "human")
 QUICK = OracleSpec(robot_steps=(3, 5), person_steps=(4, 6))
 """Hands faster than ours, so that much happens in few steps."""
 WAYS = ("way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals", "other_approach")
-EXACT = tuple(name for name in OBSERVED if name not in WAYS)
+AHEAD = ("path_ahead", "other_path_ahead")
+EXACT = tuple(name for name in OBSERVED if name not in (*WAYS, *AHEAD))
 
 
 def drawn(count: int, *, seed: int = 3, homes: Sequence[str] = HOMES, **rules: Any) -> list[RearrangeEpisode]:
@@ -187,7 +188,9 @@ def test_long_episodes_in_many_homes_are_those_of_the_cpu(seed: int) -> None:
 
 
 def test_what_agents_are_shown_is_what_the_cpu_shows(episodes: list[RearrangeEpisode]) -> None:
-    pair, rng, off = Pair(episodes[:4], outside=KINDS), np.random.default_rng(5), []
+    pair, rng = Pair(episodes[:4], outside=KINDS), np.random.default_rng(5)
+    off: list[Any] = []
+    astray: list[Any] = []
     names = tuple(name for name in OBSERVED if name not in ("last_done", "last_failed", "interrupted", "elapsed_s"))
     shown: dict[str, Any] = {}
 
@@ -200,6 +203,9 @@ def test_what_agents_are_shown_is_what_the_cpu_shows(episodes: list[RearrangeEpi
             seen = exact(play.view(agent), names)
             np.testing.assert_array_equal(mask[n], [not play.objects.why_not(agent, a) for a in pair.known[kind]])
             off.extend(np.abs(mine[name][n].numpy() - seen[name]) for name in names if name in WAYS)
+            for name in AHEAD:
+                mine_d, mine_a, d, a = (rows[k::2] for rows in (mine[name][n].numpy(), seen[name]) for k in range(2))
+                astray.append(np.abs(mine_d * np.exp(1j * mine_a) - d * np.exp(1j * a)))
             for name in EXACT:
                 if name in names:
                     np.testing.assert_allclose(mine[name][n], seen[name], rtol=0, atol=1e-5, err_msg=name)
@@ -209,6 +215,8 @@ def test_what_agents_are_shown_is_what_the_cpu_shows(episodes: list[RearrangeEpi
     assert len(off) > 100
     assert np.quantile(off, 0.5) < 0.02
     assert np.quantile(off, 0.9) < 0.5
+    assert np.quantile(astray, 0.75) < 0.02
+    assert np.quantile(astray, 0.95) < 0.5
 
 
 def test_the_ends_of_skills_are_shown() -> None:
