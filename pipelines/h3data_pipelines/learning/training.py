@@ -190,8 +190,8 @@ class Train:
                 f"Without --worlds rearrange plays our full rules, on CPU cores: --device {self.device} has no effect. "
                 "Hint: --worlds 1024."
             )
-        if self.worlds is not None and (self.worlds < 1 or self.workers is not None):
-            raise InputError(f"Expected at least 1 world and no --workers, got --worlds {self.worlds}.")
+        if self.worlds is not None and self.worlds < 1:
+            raise InputError(f"Expected at least 1 world, got --worlds {self.worlds}.")
         if self.workers is not None and self.workers < 1:
             raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.")
         from h3data_pipelines.learning.rearrangement import plan_rearrange, train_rearrange

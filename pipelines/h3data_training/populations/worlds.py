@@ -267,7 +267,7 @@ class _Chooser:
         )
         return ~play.ended & (~busy | stops), view._replace(does=does)
 
-    def decisions(self, rewards: Tensor, steps: Tensor, gamma: float, partners: Sequence[str]) -> dict[str, Decisions]:
+    def decisions(self, rewards: Tensor, steps: Tensor, gamma: float, partners: tuple[str, ...]) -> dict[str, Decisions]:
         """Those of each learner; ``rewards`` are [T, W], of which each world has played some ``steps`` [W]."""
         asked = self._kept["asked"][: len(rewards)]
         world, when = asked.T.nonzero().unbind(1)  # one world after the other
