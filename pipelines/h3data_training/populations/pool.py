@@ -17,7 +17,7 @@ import numpy as np
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
 from h3data.habitat.episodes.stored_rearrangements import StoredGoal
-from h3data.habitat.scene_names import named_scenes
+from h3data.habitat.scene_names import listed_scenes, named_scenes
 from h3data.progress import progress
 from h3data_training.populations.settings import LONGEST, PopulationSettings, rules_of
 from sim_kinematic.agents.roster import make_roster
@@ -92,7 +92,7 @@ def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Po
 
 def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
     """Draws as many episodes in each home, in several processes; homes go by their size, the largest first."""
-    names = [named.name for named in named_scenes(settings.scenes)]
+    names = [named.name for named in listed_scenes(settings.scenes)]
     tasks = [(settings, name, k) for k, name in enumerate(names)]
     found: dict[int, list[PoolEntry]] = {}
     with progress(desc="episodes", total=len(tasks), unit="home", delay=1.0, leave=False) as done:
