@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import TypeVar
@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.habitat.scene_names import named_scenes
+from h3data.habitat.scene_names import listed_scenes
 from h3data.progress import progress
 from h3data_training.settings import Settings
 from sim_kinematic.motion.randomness import episode_seed
@@ -43,10 +43,10 @@ def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> E
         workers: Processes; None is one for each core. 1 makes them here.
 
     Raises:
-        InputError: there are no such homes.
+        InputError: there are no such homes, or one has stairs.
         SceneError: a home has no room for an episode.
     """
-    names = [named.name for named in named_scenes(settings.scenes)]
+    names = [named.name for named in listed_scenes(settings.scenes)]
     tasks = [(settings, name, episode_seed(seed, k)) for k, name in enumerate(names)]
     return merged(by_home(_home_bank, tasks, workers=workers))
 
@@ -54,22 +54,21 @@ def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> E
 def by_home(make: Callable[[Task], Bank], tasks: Sequence[Task], *, workers: int | None = None) -> list[Bank]:
     """Calls ``make`` for each home, in several processes; None is one for each core, 1 makes it here."""
     count = min(workers or min(len(os.sched_getaffinity(0)), MOST_WORKERS), len(tasks))
-    banks: list[Bank] = []
     with progress(desc="homes", total=len(tasks), unit="home", delay=1.0, leave=False) as done:
 
-        def add(made: Iterable[Bank]) -> None:
+        def counted(made: Iterable[Bank]) -> Iterator[Bank]:
             for bank in made:
-                banks.append(bank)
                 done.update()
+                yield bank
 
         if count == 1 or len(tasks) <= 2:
-            add(map(make, tasks))
-            return banks
+            return list(counted(map(make, tasks)))
         with ProcessPoolExecutor(count, mp_context=get_context("fork")) as pool:
             # one process compiles and leaves the code on disk for the others; not this one: threads do not survive a fork
-            add([pool.submit(make, tasks[0]).result()])
-            add(pool.map(make, tasks[1:]))
-    return banks
+            first = list(counted([pool.submit(make, tasks[0]).result()]))
+            # sets list their homes by size: were the largest last, one process would work on it while all others wait
+            rest = list(counted(pool.map(make, tasks[:0:-1])))
+    return first + rest[::-1]
 
 
 def _home_bank(task: tuple[Settings, str, int]) -> EpisodeBank:
@@ -77,6 +76,8 @@ def _home_bank(task: tuple[Settings, str, int]) -> EpisodeBank:
     bank = EpisodeBank.draw(
         name, settings.episodes_per_home, seed=seed, spec=rules(settings), robot=settings.robot, human=settings.human
     )
+    if any(len(floor.heights) for floor in bank.floors):
+        raise InputError(f"Homes with stairs are simulated on the CPU only. Hint: leave {name} out of the scenes.")
     for floor in bank.floors:
         _ = floor.lattice  # built at first use, and needed on the device
     return bank

@@ -13,7 +13,7 @@ from bake.home_sets import set_text, updated_card
 from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError
 from h3data.exporters.habitat.scenes import export_habitat
-from h3data.habitat.scene_names import named_scenes, open_scene
+from h3data.habitat.scene_names import listed_scenes, named_scenes, open_scene
 from h3data.scene import HomeSpec, build_home, save_scene, scene_digest
 from h3data.scene.scene_sets import SceneFile, SceneSet, builtin_sets, find_scene_set, read_scene_set
 from h3data_pipelines.assets.scene_reports import validate_scene
@@ -198,6 +198,25 @@ def test_names() -> None:
     ):
         with pytest.raises(InputError, match=words):
             named_scenes(bad)
+
+
+def test_several_names() -> None:
+    both = listed_scenes("h3-homes/train, h3-homes-v2/train")
+    assert both == (*named_scenes("h3-homes/train"), *named_scenes("h3-homes-v2/train"))
+    assert listed_scenes("medium:7") == named_scenes("medium:7")
+    for bad, words in (
+        ("small:1,castle", "Unknown scenes 'castle'"),
+        ("small:1,", "Unknown scenes ''"),
+        ("h3-homes/test,small:1,h3-homes/test#test_03", "got h3-homes/test#3 again"),
+    ):
+        with pytest.raises(InputError, match=words):
+            listed_scenes(bad)
+
+
+def test_a_path_may_have_a_comma(tmp_path: Path) -> None:
+    path = tmp_path / "one, two.glb"
+    save_scene(build_home(HomeSpec(seed=2)), path)
+    assert [named.name for named in listed_scenes(str(path))] == [str(path)]
 
 
 def test_scenes_in_files(tmp_path: Path) -> None:

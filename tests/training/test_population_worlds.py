@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import shutil
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -14,7 +16,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("shapely")
 pytest.importorskip("fcl")
 
-from h3data.errors import InputError  # noqa: E402
+from h3data.errors import FormatError, InputError  # noqa: E402
+from h3data_training.populations import run as run_module  # noqa: E402
 from h3data_training.populations import worlds as populations  # noqa: E402
 from h3data_training.populations.learner import ChooserLearner  # noqa: E402
 from h3data_training.populations.playing import Decisions, Job, discounted  # noqa: E402
@@ -34,6 +37,8 @@ from sim_kinematic.tasks.rearrange.play import RearrangePlay  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import run  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
+from sim_kinematic.torch.rearrange.bank import RearrangeBank  # noqa: E402
+from sim_kinematic.torch.rearrange.bank_file import load_bank, save_bank  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 DRAWN = PopulationSettings(scenes="h3-homes/val#1", episodes_per_home=4, walk="paper")
@@ -52,11 +57,16 @@ def episodes() -> list[RearrangeEpisode]:
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(populations, "ORACLE_RULES", SHORT)
+    monkeypatch.setattr(run_module, "ORACLE_RULES", SHORT)
 
 
 def network(name: str = ROBOT, *, seed: int = 0, settings: PopulationSettings = SMALL) -> ChooserNetwork:
     return ChooserLearner(settings, name, seed=seed).network()
+
+
+def players_of(episodes: Sequence[RearrangeEpisode], **options: Any) -> TensorPlayers:
+    bank = RearrangeBank.of([replace(episode, spec=run_module.ORACLE_RULES) for episode in episodes])
+    return TensorPlayers(bank, "cpu", **options)
 
 
 def jobs_of(count: int, networks: dict[str, ChooserNetwork], partner: str = "both") -> list[Job]:
@@ -120,10 +130,10 @@ def test_decisions_are_those_of_the_cpu(
     episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch, without: tuple[str, ...]
 ) -> None:
     rules = replace(SHORT, max_steps=110)
-    monkeypatch.setattr(populations, "ORACLE_RULES", rules)
+    monkeypatch.setattr(run_module, "ORACLE_RULES", rules)
     monkeypatch.setattr(torch, "rand", lambda shape, **_: torch.full(shape, 0.5))  # the best has the best chance
     policy = network(seed=5, settings=replace(SMALL, without=without))
-    played, decisions = TensorPlayers(episodes, "cpu").play(jobs_of(4, {ROBOT: policy}))
+    played, decisions = players_of(episodes).play(jobs_of(4, {ROBOT: policy}))
     agree, equal = [], 0
     for job, own, mine in zip(jobs_of(4, {}), played, by_episode(decisions[ROBOT]), strict=True):
         episode = replace(episodes[job.entry], spec=rules)
@@ -156,7 +166,7 @@ def test_decisions_are_those_of_the_cpu(
 def test_every_episode_is_accounted_for(episodes: Sequence[RearrangeEpisode], short: None) -> None:
     settings = replace(SMALL, population="learn_single")
     networks = {name: network(name, settings=settings) for name in settings.learners}
-    players = TensorPlayers(episodes, "cpu")
+    players = players_of(episodes)
     assert players.size == 4
     played, decisions = players.play(jobs_of(5, networks, "partner_0"))
     again, _ = players.play(jobs_of(5, networks, "partner_0"))
@@ -176,12 +186,50 @@ def test_every_episode_is_accounted_for(episodes: Sequence[RearrangeEpisode], sh
 
 
 def test_other_seeds_play_otherwise(episodes: Sequence[RearrangeEpisode], short: None) -> None:
-    players, policy = TensorPlayers(episodes, "cpu"), network()
+    players, policy = players_of(episodes), network()
     chosen = [
         players.play([job._replace(seed=s) for job in jobs_of(3, {ROBOT: policy})]).decisions[ROBOT].chosen.tolist()
         for s in (1, 2)
     ]
     assert chosen[0] != chosen[1]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed, so nothing is compiled for the CPU")
+def test_fused_steps_decide_alike(episodes: Sequence[RearrangeEpisode], short: None) -> None:
+    settings = replace(SMALL, population="learn_pop")
+    networks = {name: network(name, settings=settings) for name in settings.learners}
+    jobs = [job._replace(partner=f"partner_{job.number % 3}") for job in jobs_of(6, networks)]
+    one, other = (players_of(episodes, compile=compile).play(jobs) for compile in (False, True))
+    assert one.played == other.played
+    for name, mine in one.decisions.items():
+        theirs = other.decisions[name]
+        assert torch.equal(mine.chosen, theirs.chosen)
+        torch.testing.assert_close(theirs.log_prob, mine.log_prob, rtol=0, atol=1e-5)
+
+
+def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], tmp_path: Path, short: None) -> None:
+    bank, file, about = (
+        RearrangeBank.of([replace(e, spec=SHORT) for e in episodes]),
+        tmp_path / "bank.npz",
+        {"scenes": "a"},
+    )
+    save_bank(bank, file, drawn_by=about)
+    kept = load_bank(file, drawn_by=about, spec=SHORT)
+    assert len(kept) == len(bank)
+    assert (kept.robot.name, kept.human.name) == (bank.robot.name, bank.human.name)
+    jobs = jobs_of(4, {ROBOT: network()})
+    one, other = (TensorPlayers(b, "cpu").play(jobs) for b in (bank, kept))
+    assert one.played == other.played
+    for told, message in ((about | {"scenes": "b"}, "drawn with scenes='a', not 'b'"), (about, "other rules")):
+        with pytest.raises(InputError, match=message):
+            load_bank(file, drawn_by=told)
+    whole = file.read_bytes()
+    for broken in (b"", whole[: len(whole) // 2], b"PK" + whole[2:200], gzip.compress(b"{}")):
+        file.write_bytes(broken)
+        with pytest.raises(FormatError, match="Expected a bank of episodes") as caught:
+            load_bank(file, drawn_by=about, spec=SHORT)
+        assert "\n" not in str(caught.value)
 
 
 # --- runs ---------------------------------------------------------------------------------------------------------------
@@ -212,7 +260,7 @@ def test_a_run_learns_and_resumes_exactly(episodes: Sequence[RearrangeEpisode], 
 
 @pytest.mark.slow
 def test_reward_rises(episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(populations, "ORACLE_RULES", replace(SHORT, max_steps=200))
+    monkeypatch.setattr(run_module, "ORACLE_RULES", replace(SHORT, max_steps=200))
     settings = replace(DRAWN, population="plan_pop_1", updates=20, hidden=32, width=32).in_worlds(48)
     import pyarrow.parquet as pq
 
@@ -262,13 +310,13 @@ def test_device_and_full_rules_judge_alike(monkeypatch: pytest.MonkeyPatch) -> N
     robot, task = network_of("learn_single"), Rearrange()
     assert isinstance(robot, ChooserNetwork)
     seeds = [one.seed for one in episodes]
-    monkeypatch.setattr(populations, "ORACLE_RULES", replace(ORACLE_RULES, end_on_collision=False))
+    monkeypatch.setattr(run_module, "ORACLE_RULES", replace(ORACLE_RULES, end_on_collision=False))
     monkeypatch.setattr(populations, "episode_seed", lambda seed, number: seeds[number])  # plans are the episode's
     jobs = [
         Job(number=n, entry=n, partner=partner_plan("plan_pop_3", s), networks={ROBOT: robot}, seed=1, gamma=0.99)
         for n, s in enumerate(seeds)
     ]
-    device = [(p.ended == "success", p.steps) for p in TensorPlayers(episodes, "cpu").play(jobs).played]
+    device = [(p.ended == "success", p.steps) for p in players_of(episodes).play(jobs).played]
     full = []
     for episode in episodes:
         play = task.play(episode, task.assign(episode, {"robot": "learn_single", "human": "plan_pop_3"}))

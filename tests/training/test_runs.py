@@ -18,7 +18,7 @@ from h3data.errors import FormatError, InputError
 from h3data_pipelines.cli import main
 from h3data_training import run as runs
 from h3data_training.curve import EVENTS, curve_of
-from h3data_training.episodes import make_bank
+from h3data_training.episodes import by_home, make_bank
 from h3data_training.networks import ActorCritic
 from h3data_training.ppo import schedule
 from h3data_training.run import CHECKPOINT, POLICY, train
@@ -53,6 +53,36 @@ def arrays(folder: Path) -> dict[str, np.ndarray]:
     network = network_of(f"weights:{folder / POLICY}")
     assert isinstance(network, PicturedNetwork)
     return dict(network.arrays)
+
+
+def test_it_learns_in_homes_of_both_generations(bank: EpisodeBank, tmp_path: Path) -> None:
+    settings = small(scenes="h3-homes/train#0,h3-homes-v2/train#0", updates=1)
+    both = make_bank(settings, seed=0)
+    assert both.place.tolist() == [0, 0, 1, 1]
+    for name in ("robot_xz", "human_xz", "seeds"):  # a home has the episodes that it has alone
+        np.testing.assert_array_equal(getattr(both, name)[:2], getattr(bank, name))
+    named = {scene.name for scene in both.scenes}
+    assert len(named) == 2
+    assert both.floors[0].sdf.shape != both.floors[1].sdf.shape
+    for k in (2, 3):
+        ends = np.stack([both.robot_xz[k], both.human_xz[k]])
+        assert both.floors[1].is_navigable(ends).all()
+    result = train(tmp_path, settings, bank=both)
+    assert all(np.isfinite(list(result.last.values())))
+    worlds = HeldWorlds(settings, both, device="cpu", compile=False)
+    shown, _ = worlds.reset(seed=[0, 1, 2, 3])
+    assert set(worlds.sim.place_of(worlds.play).tolist()) == {0, 1}
+    assert all(tensor.isfinite().all() for tensor in shown.values())
+
+
+def test_homes_are_in_their_order_whoever_makes_them() -> None:
+    assert by_home(str, range(7), workers=3) == [str(k) for k in range(7)]
+    assert by_home(str, range(7), workers=1) == [str(k) for k in range(7)]
+
+
+def test_homes_with_stairs_are_refused() -> None:
+    with pytest.raises(InputError, match="leave small2-storeys:3 out"):
+        make_bank(small(scenes="small2-storeys:3"), seed=0)
 
 
 def test_a_run_leaves_a_policy_and_its_curve(whole: Path) -> None:
@@ -236,6 +266,14 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
     assert main(["train", "social_nav", "--recipe", "fast", "--dry-run", "--json", "-o", str(tmp_path / "n")]) == 0
     plan = json.loads(capsys.readouterr().out)
     assert plan["decisions_per_update"] == 131072
+    options = ["--scenes", "h3-homes/train,h3-homes-v2/train", "--episodes-per-home", "14"]
+    assert main(["train", "social_nav", *options, "--dry-run", "--json", "-o", str(tmp_path / "n")]) == 0
+    chosen = json.loads(capsys.readouterr().out)["settings"]
+    assert (chosen["scenes"], chosen["episodes_per_home"]) == ("h3-homes/train,h3-homes-v2/train", 14)
+    assert main(["train", "social_nav", "--scenes", "small:1,castle", "-o", str(tmp_path / "unknown")]) == 2
+    assert "Unknown scenes 'castle'" in capsys.readouterr().err
+    assert main(["train", "social_nav", "--episodes-per-home", "0", "-o", str(tmp_path / "n")]) == 2
+    assert "episodes_per_home of at least 1" in capsys.readouterr().err
     shown = "arm_rgb,humanoid_detector,humanoid_gps"
     options = ["--recipe", "fast", "--observations", shown, "--dry-run", "--json", "-o", str(tmp_path / "n")]
     assert main(["train", "social_nav", *options]) == 0

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from h3data.errors import InputError
+from h3data.habitat.scene_names import listed_scenes
 from h3data_pipelines.command import Outcome, claim_folder, counted
 from h3data_pipelines.learning.lines import say
 
@@ -76,11 +77,13 @@ def _cost(settings: PopulationSettings, workers: int | None) -> dict[str, float]
 def _plan(settings: PopulationSettings, workers: int | None) -> str:
     cost = _cost(settings, workers)
     length = counted(settings.updates, "update") if settings.updates else f"{settings.minutes:g} minutes"
+    homes = len(listed_scenes(settings.scenes))
+    drawing = settings.episodes_per_home * homes / 60
     return (
         f"{length} with {counted(int(cost['workers']), 'worker')}: {counted(len(settings.learners), 'learner')} "
         f"({', '.join(settings.learners)}), about {cost['episodes']:.0f} episodes, {cost['steps'] / 1e6:.1f} M steps, "
-        f"{cost['cpu_s'] / 3600:.2f} CPU hours; drawing the episodes takes another {settings.episodes_per_home * 37 / 60:.0f} "
-        "minutes of a core for 37 homes where the file is not there."
+        f"{cost['cpu_s'] / 3600:.2f} CPU hours; drawing the episodes takes another {drawing:.0f} "
+        f"minutes of a core for {counted(homes, 'home')} where the file is not there."
     )
 
 

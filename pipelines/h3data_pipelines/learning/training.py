@@ -43,6 +43,7 @@ class Train:
         h3data train social_nav --recipe fast --device cuda --gpus 2 --init end_to_end -o out/longer
         h3data train social_nav --recipe tiny -o out/tiny
         h3data train social_nav --observations humanoid_detector,humanoid_gps --device cuda -o out/blind
+        h3data train social_nav --recipe fast --device cuda --scenes h3-homes/train,h3-homes-v2/train -o out/both
         h3data train social_nav --recipe fast --dry-run -o out/nav
         h3data train rearrange --population plan_pop_3 --minutes 30 -o out/plan_pop_3
         h3data train rearrange --population plan_pop_3 --without humanoid_gps -o out/no_gps
@@ -89,7 +90,9 @@ class Train:
     device: str = "cpu"
     """Where worlds are: cpu, cuda or cuda:N. Of rearrange with --worlds."""
     scenes: str | None = None
-    """Homes to learn in, as of h3data generate (default: h3-homes/train)."""
+    """Homes to learn in: one or more names as of h3data generate, separated by commas (default: h3-homes/train)."""
+    episodes_per_home: int | None = None
+    """Episodes to learn from in each home (default: 28, tiny 8, rearrange 8, skills 3, with fast 8)."""
     observations: str | None = None
     """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
     humanoid_gps,range_scan); there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, way and
@@ -171,7 +174,8 @@ class Train:
 
         shown = None if self.observations is None else tuple(self.observations.split(","))
         changes: dict[str, Any] = {
-            "minutes": self.minutes, "updates": self.updates, "scenes": self.scenes, "worlds": self.worlds,
+            "minutes": self.minutes, "updates": self.updates, "scenes": self.scenes,
+            "episodes_per_home": self.episodes_per_home, "worlds": self.worlds,
             "hold": self.hold, "observations": shown, "robot": self.robot, "rollout": self.rollout,
             "minibatches": self.minibatches,
         }  # fmt: skip
@@ -198,8 +202,8 @@ class Train:
         from h3data_training.populations.settings import PopulationSettings
 
         settings = PopulationSettings().changed(
-            population=self.population, minutes=self.minutes, updates=self.updates, scenes=self.scenes, robot=self.robot,
-            walk=self.walk, without=self.without,
+            population=self.population, minutes=self.minutes, updates=self.updates, scenes=self.scenes,
+            episodes_per_home=self.episodes_per_home, robot=self.robot, walk=self.walk, without=self.without,
         )  # fmt: skip
         if self.worlds is not None:
             settings = settings.in_worlds(self.worlds)

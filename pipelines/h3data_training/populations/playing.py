@@ -210,12 +210,17 @@ class Players:
 
     @property
     def size(self) -> int:
-        """Number of episodes to choose from."""
+        """Number of episodes to choose from,"""
         return len(self._episodes)
 
+    @property
+    def homes(self) -> int:
+        """and of the homes that they are in."""
+        return len({id(episode.scene) for episode in self._episodes})
+
     def warm_up(self, jobs: Sequence[Job]) -> None:
-        """Compiles and loads code once, before there are several processes, by playing some episodes."""
-        self.play(jobs)
+        """Compiles and loads code once, before there are several processes, by playing the first of some episodes."""
+        self.play(jobs[:1])
 
     def play(self, jobs: Sequence[Job]) -> Batch:
         """Plays some episodes, in their order; those that raise are left out.

@@ -5,11 +5,12 @@ from __future__ import annotations
 import gzip
 import os
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -17,16 +18,19 @@ import numpy as np
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
 from h3data.habitat.episodes.stored_rearrangements import StoredGoal
-from h3data.habitat.scene_names import named_scenes
+from h3data.habitat.scene_names import listed_scenes, named_scenes
 from h3data.progress import progress
 from h3data_training.populations.settings import LONGEST, PopulationSettings, rules_of
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.randomness import episode_seed
-from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
+from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.storage import goal_record, target_of
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.social_nav.episode import Starts
 from sim_kinematic.tasks.sources import Home
+
+if TYPE_CHECKING:
+    from sim_kinematic.torch.rearrange.bank import RearrangeBank
 
 FORMAT = "h3data.pool/1"
 SEED = 1_000_003
@@ -92,7 +96,7 @@ def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Po
 
 def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
     """Draws as many episodes in each home, in several processes; homes go by their size, the largest first."""
-    names = [named.name for named in named_scenes(settings.scenes)]
+    names = [named.name for named in listed_scenes(settings.scenes)]
     tasks = [(settings, name, k) for k, name in enumerate(names)]
     found: dict[int, list[PoolEntry]] = {}
     with progress(desc="episodes", total=len(tasks), unit="home", delay=1.0, leave=False) as done:
@@ -184,6 +188,21 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def homes_of(episodes: Sequence[RearrangeEpisode]) -> int:
-    """Number of different homes."""
-    return len({id(episode.scene) for episode in episodes})
+def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> RearrangeBank:
+    """The episodes of a file as worlds on a device play them, paths included; where there is none they are drawn, and it is
+    written.
+
+    Raises:
+        FormatError: it is none, or damaged.
+        InputError: it was drawn by other settings.
+        SceneError: a home has no room for an episode.
+    """
+    from sim_kinematic.torch.rearrange.bank import RearrangeBank
+    from sim_kinematic.torch.rearrange.bank_file import load_bank, save_bank
+
+    if file.exists():
+        return load_bank(file, drawn_by=drawn_by(settings))
+    episodes = episodes_of(draw_pool(settings, workers=workers), settings)
+    bank = RearrangeBank.of([replace(episode, spec=ORACLE_RULES) for episode in episodes], workers=workers)
+    save_bank(bank, file, drawn_by=drawn_by(settings))
+    return bank

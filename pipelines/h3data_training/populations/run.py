@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import timedelta
 from math import isfinite
 from pathlib import Path
@@ -20,17 +21,17 @@ from h3data_training.curve import EventLog, save_curve
 from h3data_training.launch import Stop
 from h3data_training.populations.learner import ChooserLearner, plan_at
 from h3data_training.populations.playing import Job, Played, Players
-from h3data_training.populations.pool import default_workers, episodes_of, homes_of, pool_of, pool_order
+from h3data_training.populations.pool import bank_of, default_workers, episodes_of, pool_of, pool_order
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from h3data_training.running import SPARE_S, Result, Say, is_over, one_thread, share_of, stop_asked
 from sim_kinematic.envs.torch_env import checked_device
 from sim_kinematic.policies.pictured import save_pictured
-from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
 
 if TYPE_CHECKING:
     from h3data_training.populations.worlds import TensorPlayers
 
-CHECKPOINT, POLICY, EPISODES = "checkpoint.pt", "policy.npz", "episodes.json.gz"
+CHECKPOINT, POLICY, EPISODES, BANK = "checkpoint.pt", "policy.npz", "episodes.json.gz", "episodes.npz"
 FORMAT = "h3data.populations/1"
 
 
@@ -54,7 +55,7 @@ def train(
         stop_after: Minutes of this call, set-up included; None: until the run is over.
         checkpoint_s: Seconds between two checkpoints.
         episodes_file: Of the episodes to play, which several runs may share; it is written where there is none. By default
-            `EPISODES` in the folder.
+            `EPISODES` in the folder, in worlds `BANK`.
         episodes: Those to play instead.
         say: Told what goes on, in lines.
 
@@ -71,11 +72,8 @@ def train(
         checked_device(device)
     kept = _kept(folder, settings, seed) if resume else None
     with stop_asked() as stop:
-        if episodes is None:
-            file = episodes_file or folder / EPISODES
-            episodes = episodes_of(pool_of(settings, file, workers=count), settings)
-        say(f"{len(episodes)} episodes in {homes_of(episodes)} homes after {time.time() - began:.0f} s")
-        players = _players(episodes, settings, count, device, say)
+        players = _players(episodes, settings, count, device, episodes_file, folder, say)
+        say(f"{players.size} episodes in {players.homes} homes after {time.time() - began:.0f} s")
         try:
             with one_thread("cpu"):
                 run = _Run(folder, settings, seed, players, kept, began, say)
@@ -85,14 +83,20 @@ def train(
 
 
 def _players(
-    episodes: Sequence[RearrangeEpisode], settings: PopulationSettings, workers: int, device: str, say: Say
-) -> Players | TensorPlayers:
-    """Processes with the full rules, or worlds on a device."""
+    episodes: Sequence[RearrangeEpisode] | None, settings: PopulationSettings, workers: int, device: str, file: Path | None,
+    folder: Path, say: Say,
+) -> Players | TensorPlayers:  # fmt: skip
+    """Processes with the full rules, or worlds on a device, with these episodes or those of a file."""
     if not settings.oracle:
+        if episodes is None:
+            episodes = episodes_of(pool_of(settings, file or folder / EPISODES, workers=workers), settings)
         return Players(episodes, workers, say=say)
     from h3data_training.populations.worlds import TensorPlayers
+    from sim_kinematic.torch.rearrange.bank import RearrangeBank
 
-    return TensorPlayers(episodes, device, prepared_by=workers)
+    if episodes is None:
+        return TensorPlayers(bank_of(settings, file or folder / BANK, workers=workers), device)
+    return TensorPlayers(RearrangeBank.of([replace(one, spec=ORACLE_RULES) for one in episodes]), device)
 
 
 def _kept(folder: Path, settings: PopulationSettings, seed: int) -> dict[str, Any] | None:
@@ -124,7 +128,7 @@ class _Run:
         if kept is not None:
             self._restore(kept)
         self.events = EventLog(folder, self.curve)
-        self.players.warm_up(self._jobs(0)[:1])
+        self.players.warm_up(self._jobs(0))
         self.setup_s = self.elapsed()
         self.setups_s += self.setup_s
         say(

@@ -7,8 +7,7 @@ What an update plays follows from the weights, the seed, and the numbers of its 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,8 +27,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import ALERT_M, ALERT_STEPS
 from sim_kinematic.policies.rearrange import planner
-from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
-from sim_kinematic.torch.graph import captured, overwrite
+from sim_kinematic.torch.graph import can_fuse, captured, fused, overwrite
 from sim_kinematic.torch.rearrange.bank import RearrangeBank, orders
 from sim_kinematic.torch.rearrange.observations import View, observed
 from sim_kinematic.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLACE, every_choice, of_object
@@ -46,27 +44,30 @@ class TensorPlayers:
 
     workers = 1
 
-    def __init__(self, episodes: Sequence[RearrangeEpisode], device: torch.device | str, *, prepared_by: int = 1) -> None:
+    def __init__(self, bank: RearrangeBank, device: torch.device | str, *, compile: bool | None = None) -> None:
         """
         Args:
-            episodes: Those to choose from.
+            bank: Episodes to choose from.
             device: Where the worlds are.
-            prepared_by: Processes that search for paths, before CUDA begins.
-
-        Raises:
-            InputError: as `RearrangeBank.of`.
+            compile: Whether the operations of a step are fused; by default on a GPU, if Triton is installed.
         """
-        self._bank = RearrangeBank.of([replace(episode, spec=ORACLE_RULES) for episode in episodes], workers=prepared_by)
-        self.device = torch.device(device)
+        self._bank, self.device = bank, torch.device(device)
+        self._compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
         self._worlds: _Worlds | None = None
 
     @property
     def size(self) -> int:
-        """Number of episodes to choose from."""
+        """Number of episodes to choose from,"""
         return len(self._bank)
 
+    @property
+    def homes(self) -> int:
+        """and of the homes that they are in."""
+        return len(self._bank.floors)
+
     def warm_up(self, jobs: Sequence[Job]) -> None:
-        """Nothing is compiled."""
+        """Compiles a step, by playing some episodes."""
+        self.play(jobs)
 
     def play(self, jobs: Sequence[Job]) -> Batch:
         """Plays some episodes, in their order, all at once."""
@@ -74,7 +75,7 @@ class TensorPlayers:
         with torch.no_grad():
             if self._worlds is None or self._worlds.casts != casts:
                 self._worlds = None  # their memory first
-                self._worlds = _Worlds(self._bank, casts, self.device)
+                self._worlds = _Worlds(self._bank, casts, self.device, compiles=self._compiles)
             return self._worlds.played(jobs)
 
     def close(self) -> None:
@@ -94,7 +95,7 @@ def _casts(jobs: Sequence[Job]) -> Casts:
 class _Worlds:
     """Worlds in which one update after the other is played, in the same places in memory: on a GPU a step is one CUDA graph."""
 
-    def __init__(self, bank: RearrangeBank, casts: Casts, device: torch.device) -> None:
+    def __init__(self, bank: RearrangeBank, casts: Casts, device: torch.device, *, compiles: bool) -> None:
         self.casts = casts
         count, self._longest = sum(n for _, n in casts[0]), bank.spec.max_steps
         planners = () if len(casts) > 1 else ("human",)
@@ -106,7 +107,8 @@ class _Worlds:
         self._nothing = torch.full((count,), FREE, dtype=torch.int64, device=device)
         self._step = torch.zeros(1, dtype=torch.int64, device=device)
         self._rewards = torch.zeros(self._longest, count, dtype=self._sim.dtype, device=device)
-        self._advance = self._eager
+        self._compiles = compiles
+        self._advance: Callable[[], object] | None = None
 
     def played(self, jobs: Sequence[Job]) -> Batch:
         """Some episodes, in their order."""
@@ -121,9 +123,8 @@ class _Worlds:
         dice = torch.Generator(device).manual_seed(seed)
         for chooser, names in zip(self._choosers, ([ROBOT] * len(jobs), [job.partner for job in jobs]), strict=False):
             chooser.begin(jobs, names, dice, steps=self._longest)
-        if device.type == "cuda" and self._advance == self._eager:
-            changed = [t for chooser in self._choosers for t in chooser.remembered]
-            self._advance = captured(self._eager, [*self._play.tensors(), *changed, self._step])
+        if self._advance is None:
+            self._advance = self._prepared()
         steps = 0
         while steps < self._longest:
             self._advance()
@@ -131,6 +132,15 @@ class _Worlds:
             if steps % LOOKS_EVERY == 1 and bool(self._play.ended.all()):
                 break
         return _batch(self._sim, self._play, jobs, self._choosers, self._rewards[:steps].double())
+
+    def _prepared(self) -> Callable[[], object]:
+        """A step as few kernels and, on a GPU, as one CUDA graph."""
+        changed = [*self._play.tensors(), *(t for chooser in self._choosers for t in chooser.remembered), self._step]
+        was = [t.clone() for t in changed]
+        self._eager()  # makes room for the rows
+        overwrite(changed, was)
+        step = fused(self._eager) if self._compiles else self._eager
+        return captured(step, changed) if self._sim.device.type == "cuda" else step
 
     def _eager(self) -> None:
         """One step of all worlds, in place."""
@@ -267,7 +277,9 @@ class _Chooser:
         )
         return ~play.ended & (~busy | stops), view._replace(does=does)
 
-    def decisions(self, rewards: Tensor, steps: Tensor, gamma: float, partners: tuple[str, ...]) -> dict[str, Decisions]:
+    def decisions(
+        self, rewards: Tensor, steps: Tensor, gamma: float, partners: tuple[str, ...]
+    ) -> dict[str, Decisions]:
         """Those of each learner; ``rewards`` are [T, W], of which each world has played some ``steps`` [W]."""
         asked = self._kept["asked"][: len(rewards)]
         world, when = asked.T.nonzero().unbind(1)  # one world after the other

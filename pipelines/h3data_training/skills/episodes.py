@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import FormatError, SceneError
 from h3data.files import part_file
-from h3data.habitat.scene_names import named_scenes
+from h3data.habitat.scene_names import listed_scenes, named_scenes
 from h3data.npz_arrays import npz_arrays
 from h3data.scene import FreeSpace, Scene
 from h3data_training.episodes import by_home
@@ -53,7 +53,7 @@ def make_skill_bank(
         tasks = [(settings, name) for name in kept.pop("homes").tolist()]
         scenes, floors = zip(*by_home(_place_of, tasks, workers=workers), strict=True)
         return SkillBank(floors=floors, scenes=scenes, **kept)
-    names = [named.name for named in named_scenes(settings.scenes)]
+    names = [named.name for named in listed_scenes(settings.scenes)]
     drawn = by_home(
         _home_bank, [(settings, name, episode_seed(seed, k)) for k, name in enumerate(names)], workers=workers
     )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.scene import FreeSpace, Scene
+from h3data.scene import Scene
 from sim_kinematic.agents.oracle.ways import Ways
 from sim_kinematic.policies.rearrange import partner_plan, planner
 from sim_kinematic.tasks.episode import agent_floor
@@ -22,9 +23,17 @@ from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, PAIR, RearrangeE
 from sim_kinematic.tasks.rearrange.oracle import errands_of, floor_ways
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
+from sim_kinematic.torch.step import Floor
 
 ROBOT, HUMAN, FLOOR = 0, 1, 2
 """Whose paths a table is of: the two agents', to where they stand, and anybody's to the floor below an object."""
+
+
+class BankFloor(Floor, Protocol):
+    """What is read of a `h3data.scene.FreeSpace`."""
+
+    @property
+    def floor_y(self) -> float: ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,9 +44,10 @@ class RearrangeBank:
     spec: RearrangeSpec
     robot: Robot
     human: Humanoid
-    floors: tuple[FreeSpace, ...]
+    floors: tuple[BankFloor, ...]
     """Of the homes that are played in, [R]."""
     scenes: tuple[Scene, ...]
+    """The homes, for pictures; none where the bank comes from a file."""
     place: NDArray[np.int64]
     """Number of the home, [N]."""
     seeds: NDArray[np.int64]

@@ -106,8 +106,9 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
     name, renderer = device
     monkeypatch.setattr(torch_cameras, "GpuRenderer", renderer)
     shown: Any = ("arm_rgb", "humanoid_detector", "humanoid_gps")
-    settings = small(scenes="small", picture_size=SIZE, episodes_per_home=1, worlds=4, observations=shown)
-    bank = merged([EpisodeBank.draw(f"small:{k}", 1, seed=k, spec=rules(settings)) for k in (1, 2)])
+    settings = small(picture_size=SIZE, episodes_per_home=1, worlds=4, observations=shown)
+    homes = ("small:1", "h3-homes-v2/train#0")
+    bank = merged([EpisodeBank.draw(home, 1, seed=k, spec=rules(settings)) for k, home in enumerate(homes)])
     env = SocialNavTorchEnv(
         4, device=name, dtype=torch.float32, observations=shown, spec=rules(settings), episodes=bank, depth_size=SIZE,
     )  # fmt: skip

@@ -18,6 +18,7 @@ from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
 from h3data.geometry import ground_pose, wrap_angle  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
+from h3data.scene.homes import HOME_NAMES  # noqa: E402
 from sim_kinematic.envs.social_nav_torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
 from sim_kinematic.motion.spec import StrideSpec, WalkerSpec  # noqa: E402
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward  # noqa: E402
@@ -60,12 +61,17 @@ def chase(gps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 # --- against the batch --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("rules", [RULES, STRIDES], ids=["paper", "natural"])
-def test_the_same_actions_give_the_episodes_of_the_batch(rules: Any) -> None:
+@pytest.mark.parametrize(
+    ("rules", "homes"),
+    [(RULES, HOMES), (STRIDES, HOMES), (STRIDES, ["h3-homes/train#0", "h3-homes-v2/train#6"])],
+    ids=["paper", "natural", "both generations"],
+)
+def test_the_same_actions_give_the_episodes_of_the_batch(rules: Any, homes: list[str]) -> None:
     worlds, rng = 8, np.random.default_rng(1)
-    bank = EpisodeBank.draw(HOMES, 6, seed=SEED, spec=rules)
+    bank = EpisodeBank.draw(homes, 6, seed=SEED, spec=rules)
+    assert len(bank.floors) == 2
     index = np.arange(worlds) % len(bank)
-    batch = Batch(HOMES, worlds=worlds, spec=rules, observations=OBSERVED)
+    batch = Batch(homes, worlds=worlds, spec=rules, observations=OBSERVED)
     batch.begin(SEED, index)
     seen, shown = [], []
     sim = SocialNavTensors(bank, device="cpu", spec=rules)
@@ -183,9 +189,9 @@ def test_a_step_waits_for_nothing(bank: EpisodeBank) -> None:
 
 
 # --- look-ups -----------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("preset", ["small", "medium"])
-def test_ways_are_nearly_the_exact_ones(preset: Any) -> None:
-    free = FreeSpace.from_scene(build_home(HomeSpec(preset=preset, seed=1)))
+@pytest.mark.parametrize("home", ["small", "medium", "small2"])
+def test_ways_are_nearly_the_exact_ones(home: str) -> None:
+    free = FreeSpace.from_scene(build_home(HomeSpec(seed=1, **HOME_NAMES[home])))
     rng = np.random.default_rng(0)
     a, b = free.sample(rng, 4000), free.sample(rng, 4000)
     b[:2000] = a[:2000] + rng.uniform(-2.5, 2.5, (2000, 2))  # near each other, as where one follows
