@@ -95,7 +95,8 @@ def test_inputs_and_scores_are_those_of_one_agent(agent: str, without: tuple[str
     seen = {n: torch.tensor(np.array([r[n] for r in rows])) for n in names}
     each, rest = encode(seen, agent, 2, observations=names)
     states = rng.normal(size=(9, 8)).astype(np.float32)
-    scores, after = scored(arrays_of(policy, torch.device("cpu")), each, rest, torch.tensor(states))
+    arrays = arrays_of([policy], torch.device("cpu"))
+    (scores,), (after,) = scored(arrays, each[None], rest[None], torch.tensor(states)[None])
     for n, row in enumerate(rows):
         one, other = encoded(row, agent=agent, objects=2, observations=names)
         np.testing.assert_allclose(each[n], one, rtol=0, atol=1e-5)

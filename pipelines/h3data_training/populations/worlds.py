@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 import torch
@@ -29,7 +29,7 @@ from sim_kinematic.policies.choosers.recurrent_chooser import ALERT_M, ALERT_STE
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.torch.graph import can_fuse, captured, fused, overwrite
 from sim_kinematic.torch.rearrange.bank import RearrangeBank, orders
-from sim_kinematic.torch.rearrange.observations import View, observed
+from sim_kinematic.torch.rearrange.observations import Paths, View, observed
 from sim_kinematic.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLACE, every_choice, of_object
 from sim_kinematic.torch.rearrange.state import ABORTED, DONE, FREE, NOBODY, Play
 from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
@@ -37,6 +37,8 @@ from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
 LOOKS_EVERY = 25
 """Steps after which it is looked whether all episodes are over: that waits for the device."""
 Arrays = Mapping[str, Tensor]
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class TensorPlayers:
@@ -82,6 +84,10 @@ class TensorPlayers:
         """Nothing needs closing."""
 
 
+def _plain(function: Callable[P, R]) -> Callable[P, R]:
+    return function
+
+
 Casts = tuple[tuple[tuple[str, int], ...], ...]
 
 
@@ -107,7 +113,11 @@ class _Worlds:
         self._nothing = torch.full((count,), FREE, dtype=torch.int64, device=device)
         self._step = torch.zeros(1, dtype=torch.int64, device=device)
         self._rewards = torch.zeros(self._longest, count, dtype=self._sim.dtype, device=device)
-        self._compiles = compiles
+        # in parts: what takes most of the time to compile grows faster than its size
+        fuse = fused if compiles else _plain
+        self._paths = fuse(lambda: Paths.of(self._sim, self._play, self._sim.tables.at(self._play.episode)))
+        self._choose = [fuse(chooser.choose) for chooser in self._choosers]
+        self._moved = fuse(self._sim.step)
         self._advance: Callable[[], object] | None = None
 
     def played(self, jobs: Sequence[Job]) -> Batch:
@@ -134,18 +144,21 @@ class _Worlds:
         return _batch(self._sim, self._play, jobs, self._choosers, self._rewards[:steps].double())
 
     def _prepared(self) -> Callable[[], object]:
-        """A step as few kernels and, on a GPU, as one CUDA graph."""
+        """A step, on a GPU as one CUDA graph."""
         changed = [*self._play.tensors(), *(t for chooser in self._choosers for t in chooser.remembered), self._step]
         was = [t.clone() for t in changed]
         self._eager()  # makes room for the rows
         overwrite(changed, was)
-        step = fused(self._eager) if self._compiles else self._eager
-        return captured(step, changed) if self._sim.device.type == "cuda" else step
+        return captured(self._eager, changed) if self._sim.device.type == "cuda" else self._eager
 
     def _eager(self) -> None:
         """One step of all worlds, in place."""
-        chosen = [chooser.choose(self._play, self._step) for chooser in self._choosers]
-        after = self._sim.step(self._play, chosen[0], chosen[1] if len(chosen) > 1 else self._nothing)
+        paths, chosen = self._paths(), []
+        for chooser, choose in zip(self._choosers, self._choose, strict=True):
+            choice, row = choose(self._play, paths, chooser.noise(self._step))
+            chooser.keep(row, self._step)
+            chosen.append(choice)
+        after = self._moved(self._play, chosen[0], chosen[1] if len(chosen) > 1 else self._nothing)
         overwrite(self._play.tensors(), after.tensors())
         self._rewards.index_copy_(0, self._step, after.reward[None])
         self._step.add_(1)
@@ -201,8 +214,11 @@ class _Chooser:
     def __init__(self, sim: RearrangeTensors, cast: Sequence[tuple[str, int]], agent: str) -> None:
         """``cast`` are names and in how many worlds each plays."""
         self._sim, self._agent = sim, agent
-        self._rows = {name: torch.zeros(n, dtype=torch.int64, device=sim.device) for name, n in cast}
-        self._arrays: dict[str, Arrays] = {}
+        self._names = [name for name, _ in cast]
+        most = max(n for _, n in cast)
+        self._rows = torch.zeros(len(cast), most, dtype=torch.int64, device=sim.device)
+        """Worlds of each network, [P, N]; one that has fewer has its last one several times."""
+        self._arrays: dict[str, Tensor] = {}
         self._kept: dict[str, Tensor] = {}
         """Rows of all steps, [T, W, ...] each."""
         worlds = sum(n for _, n in cast)
@@ -226,36 +242,43 @@ class _Chooser:
             self._offered = torch.as_tensor(first.offered, device=device)
             self._state = torch.zeros(len(names), first.arrays["gru.weight_hh"].shape[1], device=device)
             self._noise = torch.zeros_like(noise)
-        for name, rows in self._rows.items():
-            own = [w for w, who in enumerate(names) if who == name]
-            rows.copy_(torch.tensor(own, device=device))
-            fresh = arrays_of(jobs[own[0]].networks[name], device)
-            overwrite(self._arrays.setdefault(name, fresh).values(), fresh.values())
+        worlds: dict[str, list[int]] = {name: [] for name in self._names}
+        for world, name in enumerate(names):
+            worlds[name].append(world)
+        most = self._rows.shape[1]
+        self._rows.copy_(torch.tensor([own + own[-1:] * (most - len(own)) for own in worlds.values()]))
+        fresh = arrays_of([jobs[own[0]].networks[name] for name, own in worlds.items()], device)
+        for name, array in fresh.items():
+            self._arrays.setdefault(name, array).copy_(array)
         self._noise.copy_(noise.clamp_min(1e-12))
         self._state.zero_()
         self._thought.zero_()
 
-    def choose(self, play: Play, step: Tensor) -> Tensor:
-        """Choices [W] in a step, whose number is ``step`` [1]; -1 of those that are not asked."""
-        view = View.of(self._sim, play, self._agent)
+    def choose(self, play: Play, paths: Paths, noise: Tensor) -> tuple[Tensor, _Row]:
+        """Choices [W] by scores and ``noise`` [W, C], -1 of those that are not asked, and what was chosen by."""
+        view = View.of(self._sim, play, self._agent, paths)
         asked, view = self._asked(view)
         names = self._observations
         each, rest = encode(observed(view, names), self._agent, self._sim.bank.objects, observations=names)
-        scores, state = torch.zeros(*view.xz.shape[:1], len(view.choices), device=each.device), self._state
-        for name, rows in self._rows.items():
-            own, after = scored(self._arrays[name], each[rows], rest[rows], self._state[rows])
-            scores, state = scores.index_copy(0, rows, own), state.index_copy(0, rows, after)
+        rows, scores = self._rows.flatten(), torch.zeros(len(each), len(view.choices), device=each.device)
+        own, after = scored(self._arrays, each[self._rows], rest[self._rows], self._state[self._rows])
+        scores = scores.index_copy(0, rows, own.flatten(0, 1))
+        state = self._state.index_copy(0, rows, after.flatten(0, 1))
         may = allowed(view) & self._offered
         log_probs = scores.masked_fill(~may, -torch.inf).log_softmax(-1)
-        noise = self._noise.index_select(0, step)[0]
         chosen = (log_probs - (-noise.log()).log()).argmax(-1)
         log_prob = log_probs.gather(1, chosen[:, None])[:, 0]
-        self._keep(_Row(each, rest, self._state, may, chosen, log_prob, asked), step)
+        row = _Row(each, rest, self._state.clone(), may, chosen, log_prob, asked)
         self._state.copy_(torch.where(asked[:, None], state, self._state))
         self._thought.copy_(torch.where(asked, play.steps, self._thought))
-        return torch.where(asked, chosen, FREE)
+        return torch.where(asked, chosen, FREE), row
 
-    def _keep(self, row: _Row, step: Tensor) -> None:
+    def noise(self, step: Tensor) -> Tensor:
+        """Of the step with this number [1], uniform in 0..1, [W, C]."""
+        return self._noise.index_select(0, step)[0]
+
+    def keep(self, row: _Row, step: Tensor) -> None:
+        """Remembers a row of the step with this number [1]."""
         for name, value in row._asdict().items():
             if name not in self._kept:
                 self._kept[name] = torch.zeros(len(self._noise), *value.shape, dtype=value.dtype, device=value.device)
@@ -292,7 +315,8 @@ class _Chooser:
         gain = (earned[until, world] - earned[when, world]) / powers[when]
         discount = torch.where(is_last, 0.0, powers[until - when])
         found = {}
-        for name, rows in self._rows.items():
+        for name, all_rows in zip(self._names, self._rows, strict=True):
+            rows = all_rows.unique()
             own = torch.isin(world, rows)
             at = when[own], world[own]
             found[name] = Decisions(
@@ -304,9 +328,10 @@ class _Chooser:
 
 
 # --- the network as tensors -----------------------------------------------------------------------------------------------
-def arrays_of(network: ChooserNetwork, device: torch.device) -> Arrays:
-    """The weights of a chooser on a device."""
-    return {name: torch.as_tensor(np.array(array, order="C"), device=device) for name, array in network.arrays.items()}
+def arrays_of(networks: Sequence[ChooserNetwork], device: torch.device) -> dict[str, Tensor]:
+    """The weights of P choosers on a device, [P, ...] each."""
+    names = networks[0].arrays
+    return {name: torch.as_tensor(np.stack([n.arrays[name] for n in networks]), device=device) for name in names}
 
 
 def encode(
@@ -341,24 +366,27 @@ def _inputs(name: str, seen: Tensor) -> Tensor:
 
 
 def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Scores [W, C] and the next state [W, H], as `ChooserNetwork.__call__`."""
+    """Scores [P, N, C] and the next states [P, N, H] of P networks in N worlds each, as `ChooserNetwork.__call__`, for inputs
+    [P, N, K, F] and [P, N, R] and states."""
 
     def layer(name: str, x: Tensor, kind: str = "") -> Tensor:
-        return torch.nn.functional.linear(x, arrays[f"{name}.weight{kind}"], arrays[f"{name}.bias{kind}"])
+        weight, bias = arrays[f"{name}.weight{kind}"], arrays[f"{name}.bias{kind}"]
+        return torch.baddbmm(bias[:, None], x.flatten(1, -2), weight.mT).unflatten(1, x.shape[1:-1])
 
-    count = each.shape[1]
-    numbers = torch.eye(count, device=each.device).expand(len(each), -1, -1)
+    count = each.shape[2]
+    numbers = torch.eye(count, device=each.device).expand(*each.shape[:2], -1, -1)
     things = layer("object", torch.cat([each, numbers], -1)).relu()
-    given, kept = layer("gru", torch.cat([rest, things.flatten(1)], -1), "_ih"), layer("gru", state, "_hh")
+    given, kept = layer("gru", torch.cat([rest, things.flatten(2)], -1), "_ih"), layer("gru", state, "_hh")
     (r, z, n), (kr, kz, kn) = given.chunk(3, -1), kept.chunk(3, -1)
     update = torch.sigmoid(z + kz)
     state = (1 - update) * torch.tanh(n + torch.sigmoid(r + kr) * kn) + update * state
-    known = torch.cat([state[:, None].expand(-1, count, -1), things], -1)
+    known = torch.cat([state[:, :, None].expand(-1, -1, count, -1), things], -1)
     of_objects = layer("each_1", layer("each_0", known).relu())
     others = layer("rest_1", layer("rest_0", torch.cat([state, rest], -1)).relu())
-    last = each[..., -SKILLS_WITH_OBJECT:].transpose(1, 2).flatten(1)
-    interrupted = torch.cat([last, rest[:, -others.shape[1] :]], -1)
-    return torch.cat([of_objects.transpose(1, 2).flatten(1), others], -1) + arrays["persist"] * interrupted, state
+    last = each[..., -SKILLS_WITH_OBJECT:].transpose(2, 3).flatten(2)
+    interrupted = torch.cat([last, rest[..., -others.shape[-1] :]], -1)
+    scores = torch.cat([of_objects.transpose(2, 3).flatten(2), others], -1)
+    return scores + arrays["persist"][..., None] * interrupted, state
 
 
 def allowed(view: View) -> Tensor:

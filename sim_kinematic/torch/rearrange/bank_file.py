@@ -61,7 +61,7 @@ def load_bank(path: str | Path, *, drawn_by: Mapping[str, Any], spec: RearrangeS
         InputError: its episodes were drawn by something else, or for other rules.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in (*ARRAYS, *(n for n in file.files if n.startswith("sdf_")))}
             about = json.loads(str(file["about"]))
         robot_name, human_name = about["bodies"]

@@ -20,6 +20,41 @@ from sim_kinematic.torch.rearrange.tables import Places
 from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.torch.step import heading_direction, wrap_angle
 
+THEN = 1
+"""A second ago, of the two moments of `Paths`; 0 is now."""
+
+
+class Paths(NamedTuple):
+    """Shortest paths of both agents, robot and person, which both are shown."""
+
+    xz: Tensor
+    """Where they are and were a second ago, [W, 2, 2, 2]."""
+    lengths: Tensor
+    """From there to the floor below starts and goals, [W, 2, 2, 2 K] [m]."""
+    ahead: Tensor
+    """Where each would be `AHEAD_M` further on, on the way to each object or, with what they hold, to its goal,
+    [W, 2, K, n, 2]: to what is in the other's hand the way is straight."""
+
+    @classmethod
+    def of(cls, sim: RearrangeTensors, play: Play, places: Places) -> Paths:
+        now = torch.stack([play.robot.xz, play.human.xz], 1)
+        row = torch.where(play.steps >= TRACK - 1, (play.steps + 1) % TRACK, 0)
+        then = play.track[torch.arange(len(row), device=row.device), row]
+        xz = torch.stack([now, then], 2)
+        return cls(xz, places.lengths(xz).clamp_max(FAR_M), cls._ahead(sim, play, places, now))
+
+    @staticmethod
+    def _ahead(sim: RearrangeTensors, play: Play, places: Places, now: Tensor) -> Tensor:
+        count = sim.bank.objects
+        own = play.held_by[:, None] == torch.arange(2, device=now.device)[:, None]
+        field = 2 * FLOOR * count + torch.arange(count, device=now.device) + count * (own | play.moved[:, None])
+        xz = now[:, :, None].expand(-1, -1, count, -1)
+        gap = play.objects[:, None, :, 0::2] - xz
+        away = torch.hypot(gap[..., 0], gap[..., 1]).clamp_min(1e-9)
+        straight = torch.stack([xz + gap * (length / away).clamp_max(1.0)[..., None] for length in AHEAD_M], -2)
+        leads = own | (play.held_by == NOBODY)[:, None]
+        return torch.where(leads[..., None, None], places.along(field, xz, AHEAD_M), straight)
+
 
 class View(NamedTuple):
     """What one agent of each world may know."""
@@ -34,21 +69,26 @@ class View(NamedTuple):
     other: Tensor
     """Where the other is, [W, 2]."""
     contact: Tensor
+    paths: Paths | None = None
 
     @classmethod
-    def of(cls, sim: RearrangeTensors, play: Play, agent: str) -> View:
-        """Of ``robot`` or ``human``."""
+    def of(cls, sim: RearrangeTensors, play: Play, agent: str, paths: Paths | None = None) -> View:
+        """Of ``robot`` or ``human``; with ``paths`` where they are known already."""
         own, other = (play.robot, play.human) if agent == "robot" else (play.human, play.robot)
         is_robot = agent == "robot"
         return cls(
             sim=sim, play=play, places=sim.tables.at(play.episode), choices=sim.choices(agent),
             does=play.robot_does if is_robot else play.human_does, xz=own.xz, heading=own.heading, other=other.xz,
-            contact=play.robot.contact if is_robot else torch.zeros_like(play.robot.contact),
+            contact=play.robot.contact if is_robot else torch.zeros_like(play.robot.contact), paths=paths,
         )  # fmt: skip
 
     @property
     def who(self) -> int:
         return self.choices.who
+
+    @property
+    def known_paths(self) -> Paths:
+        return self.paths or Paths.of(self.sim, self.play, self.places)
 
     @property
     def hands(self) -> Hands:
@@ -70,36 +110,24 @@ class View(NamedTuple):
         left = gap[..., 0] * ahead[..., 1] - gap[..., 1] * ahead[..., 0]
         return torch.stack([torch.hypot(forward, left), -torch.atan2(left, forward)], -1).flatten(1)
 
-    def ways(self, xz: Tensor) -> tuple[Tensor, Tensor]:
-        """Lengths [W, K] [m] of the shortest ways from points [W, 2] to where objects are, and to their goals. To one that is
-        held it is the straight distance: no table leads to an agent."""
-        play, count = self.play, self.sim.bank.objects
-        lengths = self.places.lengths(xz).clamp_max(FAR_M)
-        gap = play.objects[..., 0::2] - xz[:, None]
+    def ways(self, who: int, when: int = 0) -> tuple[Tensor, Tensor]:
+        """Lengths [W, K] [m] of the shortest ways from agent ``who``, as it was `THEN` (1) or is now, to where objects are, and
+        to their goals. To one that is held it is the straight distance: no table leads to an agent."""
+        play, count, paths = self.play, self.sim.bank.objects, self.known_paths
+        lengths = paths.lengths[:, who, when]
+        gap = play.objects[..., 0::2] - paths.xz[:, who, when, None]
         lies = torch.where(play.moved, lengths[:, count:], lengths[:, :count])
         held = play.held_by != NOBODY
         return torch.where(held, torch.hypot(gap[..., 0], gap[..., 1]), lies), lengths[:, count:]
 
     def approach(self) -> Tensor:
         """How much shorter the other's way to each object has become over their known track, [W, K] [m]."""
-        row = torch.where(self.play.steps >= TRACK - 1, (self.play.steps + 1) % TRACK, 0)
         them = 1 - self.who
-        then = self.play.track[torch.arange(len(row), device=row.device), row, them]
-        return (self.ways(then)[0] - self.ways(self.other)[0]).clamp(-NEARER_M, NEARER_M)
+        return (self.ways(them, THEN)[0] - self.ways(them)[0]).clamp(-NEARER_M, NEARER_M)
 
     def path_ahead(self, who: int) -> Tensor:
-        """Where agent ``who`` would be `AHEAD_M` further on, on the way to each object or with it to its goal, as this one sees
-        it, [W, K * 4]."""
-        play, count = self.play, self.sim.bank.objects
-        xz = (self.xz if who == self.who else self.other)[:, None].expand(-1, count, -1)
-        own, lies = play.held_by == who, play.held_by == NOBODY
-        number = torch.arange(count, device=xz.device)
-        field = 2 * FLOOR * count + number + count * (own | play.moved)
-        gap = play.objects[..., 0::2] - xz
-        away = torch.hypot(gap[..., 0], gap[..., 1]).clamp_min(1e-9)
-        straight = torch.stack([xz + gap * (length / away).clamp_max(1.0)[..., None] for length in AHEAD_M], -2)
-        points = torch.where((own | lies)[..., None, None], self.places.along(field, xz, AHEAD_M), straight)
-        return self.gps(points.flatten(1, 2))
+        """Where agent ``who`` would be `AHEAD_M` further on, as this one sees it (`Paths.ahead`), [W, K * 4]."""
+        return self.gps(self.known_paths.ahead[:, who].flatten(1, 2))
 
     def other_velocity(self) -> Tensor:
         """Of the other agent over the ground, along the axes of this one, [W, 2] [m/s]."""
@@ -149,10 +177,10 @@ OBSERVED: Mapping[str, Callable[[View], Tensor]] = {
     "last_done": lambda v: v.ended(DONE),
     "last_failed": lambda v: v.ended(FAILED),
     "interrupted": lambda v: v.ended(ABORTED),
-    "way_to_objects": lambda v: v.ways(v.xz)[0],
-    "way_to_goals": lambda v: v.ways(v.xz)[1],
-    "other_way_to_objects": lambda v: v.ways(v.other)[0],
-    "other_way_to_goals": lambda v: v.ways(v.other)[1],
+    "way_to_objects": lambda v: v.ways(v.who)[0],
+    "way_to_goals": lambda v: v.ways(v.who)[1],
+    "other_way_to_objects": lambda v: v.ways(1 - v.who)[0],
+    "other_way_to_goals": lambda v: v.ways(1 - v.who)[1],
     "other_approach": View.approach,
     "path_ahead": lambda v: v.path_ahead(v.who),
     "other_path_ahead": lambda v: v.path_ahead(1 - v.who),
@@ -160,6 +188,11 @@ OBSERVED: Mapping[str, Callable[[View], Tensor]] = {
     "elapsed_s": lambda v: v.play.steps[:, None] * STEP_S,
 }
 """By name, [W, n]."""
+OF_PATHS = (
+    "way_to_objects", "way_to_goals", "other_way_to_objects", "other_way_to_goals", "other_approach", "path_ahead",
+    "other_path_ahead",
+)  # fmt: skip
+"""Those that `Paths` are needed for."""
 
 
 def checked_observations(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -176,4 +209,6 @@ def checked_observations(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def observed(view: View, names: tuple[str, ...]) -> dict[str, Tensor]:
     """The named observations, each float32 [W, n]."""
+    if view.paths is None and any(name in OF_PATHS for name in names):
+        view = view._replace(paths=Paths.of(view.sim, view.play, view.places))
     return {name: OBSERVED[name](view).float() for name in names}

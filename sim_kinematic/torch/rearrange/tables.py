@@ -14,7 +14,7 @@ from torch import Tensor
 from sim_kinematic.agents.oracle.ways import CELL_M
 from sim_kinematic.torch.rearrange.bank import FLOOR, RearrangeBank
 
-HOPS = 6
+HOPS = 4
 """Legs of a path that `Places.along` follows: corners are at least 25 cm apart, mostly a metre and more."""
 
 
@@ -145,10 +145,11 @@ class Places(NamedTuple):
         return torch.stack(found, -2)
 
     def lengths(self, xz: Tensor) -> Tensor:
-        """Lengths [W, 2 K] of the paths from points [W, 2] to the floor below starts and goals; inf where there is none."""
+        """Lengths [W, ..., 2 K] of the paths from points [W, ..., 2] to the floor below starts and goals; inf where there is
+        none."""
         many = torch.arange(2 * self.tables.objects, device=xz.device)
-        field = (FLOOR * 2 * self.tables.objects + many).expand(len(xz), -1)
-        from_xz = xz[:, None].expand(-1, len(many), -1)
+        field = (FLOOR * 2 * self.tables.objects + many).expand(*xz.shape[:-1], -1)
+        from_xz = xz[..., None, :].expand(*xz.shape[:-1], len(many), -1)
         number = self.first(field, from_xz)
         gap = self.points(field, number) - from_xz
         size = self._rows(self.n + 1, field)
