@@ -1,0 +1,158 @@
+"""Social navigation as it is trained: the paper's network (ResNet18, LSTM) and pictures of 224 x 171 on a GPU.
+
+``training.cuda.paper_network_w*.acting_*`` is the environment with the arm's depth picture and the network that acts in it, one
+CUDA graph a decision, rollouts kept, nothing learned; ``environment_*`` is the environment alone, ``learning_*`` is both and
+what is learned from each rollout. ``_hold3`` holds an action for three steps, as the recipe ``fast`` does. Worlds are in homes
+of both generations. Lines that begin with ``#`` say how far it is and which kernels take the time of a decision.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from h3data_training.ppo import Learner
+    from h3data_training.settings import Settings
+    from sim_kinematic.torch.episodes import EpisodeBank
+
+Line = tuple[str, float, str]
+"""Name, value and unit."""
+Emit = Callable[[str, float, str], None]
+HOMES = "h3-homes/train#10,h3-homes/train#24,h3-homes-v2/train#10,h3-homes-v2/train#22"
+CASES = (
+    (2048, 1, 0), (512, 1, 0), (96, 1, 0), (96, 1, 128), (512, 1, 32), (2048, 1, 8), (2048, 3, 0), (512, 3, 0)
+)  # fmt: skip
+"""Worlds, steps for which an action is held, and decisions of a rollout that is learned from; 0: nothing is learned."""
+ROLLOUT = 32
+"""Decisions of one that is not."""
+PICTURES_AT_ONCE = 8192
+"""Of a minibatch: what the backward pass keeps of them takes some 20 GB."""
+ENOUGH_S = 110.0
+"""No case is begun after so many seconds."""
+
+
+def run(emit: Emit) -> None:
+    """Emits ``training.cuda.*``; nothing where there is no GPU."""
+    import torch
+
+    began = time.perf_counter()
+    if not torch.cuda.is_available():
+        print("# training.cuda: no GPU that torch can use")
+        return
+    from h3data_training.settings import recipe
+
+    torch.set_float32_matmul_precision("high")  # as in training
+    settings = recipe("paper", scenes=HOMES, episodes_per_home=8)
+    measure(emit, settings, CASES, device="cuda", passes=64, over=lambda: time.perf_counter() - began > ENOUGH_S)
+
+
+def measure(
+    emit: Emit, settings: Settings, cases: Sequence[tuple[int, int, int]], *, device: str, passes: int,
+    over: Callable[[], bool] = lambda: False,
+) -> None:  # fmt: skip
+    """Emits the lines of all cases.
+
+    Args:
+        emit: Told each line.
+        settings: Of the run; worlds, hold, rollout and minibatches follow from the cases.
+        cases: As `CASES`.
+        device: Where worlds and network are.
+        passes: Decisions that are timed in each line where nothing is learned.
+        over: Whether there is no time for a further case.
+    """
+    from h3data_training.episodes import make_bank
+
+    start = time.perf_counter()
+    bank = make_bank(settings, seed=0)
+    print(f"# {len(bank.scenes)} homes after {time.perf_counter() - start:.0f} s", flush=True)
+    for worlds, hold, learned in cases:
+        name = f"training.{device}.paper_network_w{worlds}{f'_hold{hold}' if hold > 1 else ''}"
+        if over():
+            print(f"# no time for {name}{', learning' if learned else ''}")
+            continue
+        parts = 1
+        while worlds % (2 * parts) == 0 and worlds * learned > PICTURES_AT_ONCE * parts:
+            parts *= 2
+        s = replace(settings, worlds=worlds, hold=hold, rollout=learned or ROLLOUT, minibatches=parts)
+        lines = _learning(s, bank, device) if learned else _acting(s, bank, device, passes)
+        for line, value, unit in lines:
+            emit(f"{name}.{line}", value, unit)
+
+
+def _acting(settings: Settings, bank: EpisodeBank, device: str, passes: int) -> Iterator[Line]:
+    learner, plan = _learner(settings, bank, device)
+    seconds = _seconds(lambda: learner._collect(plan), max(passes // settings.rollout, 1), device)
+    rate = settings.worlds * settings.rollout / seconds
+    yield "acting_decisions_per_s", rate, "1/s"
+    yield "acting_steps_per_s", rate * settings.hold, "steps/s"
+    action = learner.memory.last.clone()
+    rate = settings.worlds / _seconds(lambda: learner.worlds.held(action), passes, device)
+    yield "environment_steps_per_s", rate * settings.hold, "steps/s"
+    if device == "cuda":
+        _kernels(lambda: learner._collect(plan), settings.rollout)
+
+
+def _learning(settings: Settings, bank: EpisodeBank, device: str) -> Iterator[Line]:
+    learner, plan = _learner(settings, bank, device)
+    rate = settings.decisions_per_update / _seconds(lambda: learner.update(plan), 2, device)
+    yield "learning_decisions_per_s", rate, "1/s"
+    yield "learning_steps_per_s", rate * settings.hold, "steps/s"
+
+
+def _learner(settings: Settings, bank: EpisodeBank, device: str) -> tuple[Learner, Any]:
+    import torch
+
+    from h3data_training.ppo import Learner, schedule
+    from h3data_training.worlds import HeldWorlds
+
+    gc.collect()  # of the case before: what its graphs hold is freed with them
+    if device == "cuda":
+        torch.cuda.empty_cache()
+    start = time.perf_counter()
+    learner = Learner(settings, HeldWorlds(settings, bank, device=device), seed=0)
+    memory = f", {torch.cuda.memory_reserved() / 1e9:.1f} GB" if device == "cuda" else ""
+    print(f"# {settings.worlds} worlds after {time.perf_counter() - start:.0f} s{memory}", flush=True)
+    return learner, schedule(settings, 0.5, 100)
+
+
+def _seconds(work: Callable[[], object], times: int, device: str) -> float:
+    """Time of one call [s], after a first one."""
+    work()
+    start = _clock(device)
+    for _ in range(times):
+        work()
+    return (_clock(device) - start) / times
+
+
+def _clock(device: str) -> float:
+    import torch
+
+    if device == "cuda":
+        torch.cuda.synchronize()
+    return time.perf_counter()
+
+
+def _kernels(work: Callable[[], object], decisions: int, most: int = 16) -> None:
+    """Prints which kernels take the time of a decision."""
+    from torch.profiler import ProfilerActivity, profile
+
+    with profile(activities=[ProfilerActivity.CUDA]) as seen:
+        work()
+        _clock("cuda")
+    rows = sorted(seen.key_averages(), key=lambda row: -row.self_device_time_total)
+    total = sum(row.self_device_time_total for row in rows)
+    print(
+        f"# kernels: {total / 1e3 / decisions:.3f} ms a decision, {sum(row.count for row in rows) / decisions:.0f} launches"
+    )
+    for row in rows[:most]:
+        print(
+            f"#   {row.self_device_time_total / 1e3 / decisions:.3f} ms, {row.count / decisions:.1f} x {row.key[:110]}"
+        )
+
+
+if __name__ == "__main__":
+    run(lambda name, value, unit: print(f"{name} {value:.6g} {unit}", flush=True))
