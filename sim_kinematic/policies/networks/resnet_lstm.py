@@ -29,15 +29,28 @@ LEAST_SIDE = 8
 """Of a picture [pixels]."""
 
 
+class _Norm(nn.GroupNorm):
+    """On a GPU in the precision of what it is given. Autocast would take 32 bits, and so would all that follows until the next
+    convolution: three times the memory traffic, which takes longer than the convolutions. Sums are of 32 bits either way."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        if not input.is_cuda:
+            return super().forward(input)
+        with torch.autocast(input.device.type, enabled=False):
+            return F.group_norm(
+                input, self.num_groups, self.weight.to(input.dtype), self.bias.to(input.dtype), self.eps
+            )
+
+
 class _Block(nn.Module):
     def __init__(self, given: int, planes: int, stride: int) -> None:
         super().__init__()
         self.conv_0 = nn.Conv2d(given, planes, 3, stride, 1, bias=False)
-        self.norm_0 = nn.GroupNorm(GROUPS, planes)
+        self.norm_0 = _Norm(GROUPS, planes)
         self.conv_1 = nn.Conv2d(planes, planes, 3, 1, 1, bias=False)
-        self.norm_1 = nn.GroupNorm(GROUPS, planes)
+        self.norm_1 = _Norm(GROUPS, planes)
         self.skip = nn.Conv2d(given, planes, 1, stride, bias=False) if stride > 1 or given != planes else None
-        self.skip_norm = None if self.skip is None else nn.GroupNorm(GROUPS, planes)
+        self.skip_norm = None if self.skip is None else _Norm(GROUPS, planes)
 
     def forward(self, x: Tensor) -> Tensor:
         inner = self.norm_1(self.conv_1(F.relu(self.norm_0(self.conv_0(x)))))
@@ -53,7 +66,7 @@ class ResNet18(nn.Module):
         """``size`` is width and height [pixels]; ``given`` are the planes of a picture, ``planes`` those of the first stage."""
         super().__init__()
         self.first = nn.Conv2d(given, planes, 7, 2, 3, bias=False)
-        self.norm = nn.GroupNorm(GROUPS, planes)
+        self.norm = _Norm(GROUPS, planes)
         widths = [planes, planes, 2 * planes, 4 * planes, 8 * planes]
         self.blocks = nn.ModuleList(
             _Block(widths[k] if half == 0 else widths[k + 1], widths[k + 1], 2 if k and half == 0 else 1)
@@ -63,7 +76,7 @@ class ResNet18(nn.Module):
         places = _places(size)
         squeezed = max(round(SQUEEZED / places), GROUPS)
         self.squeeze = nn.Conv2d(widths[-1], squeezed, 3, 1, 1, bias=False)
-        self.squeeze_norm = nn.GroupNorm(1, squeezed)
+        self.squeeze_norm = _Norm(1, squeezed)
         self.out = nn.Linear(squeezed * places, features)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -100,7 +113,8 @@ class ResNetLSTM(nn.Module):
         if self.visual is None or pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
-            seen = self.visual(pixels.float().contiguous(memory_format=torch.channels_last))
+            whole = pixels if pixels.is_cuda else pixels.float()
+            seen = self.visual(whole.contiguous(memory_format=torch.channels_last))
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
