@@ -121,7 +121,7 @@ def test_its_benchmark_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     def emit(name: str, value: float, unit: str) -> None:
         lines[name] = value
 
-    cases = [(2, 1, 0), (2, 3, 0), (2, 3, 4), (2, 1, 0)]
+    cases = [training.Case(2), training.Case(2, hold=3), training.Case(2, hold=3, learned=4), training.Case(2)]
     training.measure(emit, SETTINGS, cases, device="cpu", passes=1, over=lambda: next(times))
     place = "training.cpu.paper_network_w2"
     names = [f"{place}.{name}" for name in ("acting_decisions_per_s", "acting_steps_per_s", "environment_steps_per_s")]
