@@ -3,7 +3,8 @@
 ``training.cuda.paper_network_w*.acting_*`` is the environment with the arm's depth picture and the network that acts in it, one
 CUDA graph a decision, rollouts kept, nothing learned; ``environment_*`` is the environment alone, ``learning_*`` is both and
 what is learned from each rollout. ``_compiled`` compiles what sees pictures (`torch.compile`); ``_hold3`` holds an action for
-three steps, as the recipe ``fast`` does. Worlds are in homes of both generations. Lines that begin with ``#`` say how far it is and which kernels take the time of a decision.
+three steps, as the recipe ``fast`` does. Worlds are in homes of both generations. Lines that begin with ``#`` say how far it is
+and which kernels take the time of a decision.
 """
 
 from __future__ import annotations
