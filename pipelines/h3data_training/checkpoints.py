@@ -9,6 +9,7 @@ import torch
 
 from h3data.errors import FormatError, InputError
 from h3data_training.ppo import Learner
+from sim_kinematic.torch.graph import overwrite
 
 FORMAT = "h3data.training/1"
 FREE = ("minutes", "updates")
@@ -34,7 +35,7 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
         FormatError: the checkpoint does not fit.
         InputError: it is of another number of processes.
     """
-    m, own, where = learner.memory, learner.ranks.own, learner.worlds.device
+    m, own = learner.memory, learner.ranks.own
     try:
         dice = kept["dice"].cpu()
         dice = dice[None] if dice.ndim == 1 else dice  # of before there were several processes
@@ -48,8 +49,8 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
         learner.dice.set_state(own(dice)[0].clone())  # a part of a tensor crashes torch
         for mine, theirs in zip(learner.worlds.play.tensors(), kept["play"], strict=True):
             mine.copy_(own(theirs))
-        m.shown = {n: own(t).to(where) for n, t in kept["shown"].items()}
-        m.state, m.last, m.over = (own(kept[n]).to(where) for n in ("state", "last", "over"))
+        overwrite(m.shown.values(), (own(kept["shown"][name]) for name in m.shown))
+        overwrite((m.state, m.last, m.over), (own(kept[n]) for n in ("state", "last", "over")))
     except (KeyError, RuntimeError, ValueError) as fault:
         reason = str(fault).splitlines()[0]
         raise FormatError(f"The checkpoint does not fit ({reason}). File: {path}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -19,6 +20,34 @@ class HeldSteps:
     play: Any
     """Where all worlds are; overwritten by every step."""
     hold: int
+    _advance: Callable[[], None]
+    """`_eager`, or the CUDA graph that was captured of it."""
+    _action: Tensor
+    _shown: dict[str, Tensor]
+    """Observations of the last call of `_eager`."""
+
+    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """As of `h3data_training.ppo.Worlds`."""
+        with torch.no_grad():
+            self._action.copy_(action)
+            self._advance()
+        return self._result(), self.gain.clone(), self.over.clone(), self.timed_out.clone(), self.idle.clone()
+
+    def held_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """As of `h3data_training.ppo.Worlds`."""
+        own = self._shown  # where a graph of these worlds alone writes
+        self._action.copy_(action)
+        self._eager()
+        shown, self._shown = self._shown, own
+        return shown, self.gain, self.over, self.timed_out, self.idle
+
+    def _eager(self) -> None:
+        """An action of all worlds and what it shows, in place."""
+        raise NotImplementedError
+
+    def _result(self) -> dict[str, Tensor]:
+        """What has been shown last, in tensors of its own."""
+        return {name: tensor.clone() for name, tensor in self._shown.items()}
 
     def _make_totals(self, worlds: int, device: torch.device) -> None:
         self.gain = torch.zeros(worlds, device=device)
@@ -62,7 +91,3 @@ class HeldSteps:
         """Sums of a step over the worlds that are ``live`` [W], and those whose episode has just ended, in the order of
         `counts` after the first, which is the reward."""
         raise NotImplementedError
-
-    def _outcome(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """As of `h3data_training.ppo.Worlds.held`, after the observations."""
-        return self.gain.clone(), self.over.clone(), self.timed_out.clone(), self.idle.clone()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -13,6 +13,7 @@ from torch.nn import functional as F
 from h3data_training.networks import actor_numbers, critic_numbers, network
 from h3data_training.ranks import Ranks
 from h3data_training.settings import Settings
+from sim_kinematic.torch.graph import captured, overwrite
 
 RANK_SEED = 1_000_003
 """Between the seeds of two processes' exploration noise."""
@@ -45,6 +46,10 @@ class Worlds(Protocol):
         """
         ...
 
+    def held_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        """As `held`, operation by operation, so that a CUDA graph can capture it; the next call overwrites the tensors."""
+        ...
+
     def taught(self) -> Tensor:
         """Actions of a teacher in these states, [W, A]."""
         ...
@@ -54,9 +59,9 @@ class Worlds(Protocol):
         ...
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Memory:
-    """Everything that is carried from one decision to the next, for W worlds."""
+    """Everything that is carried from one decision to the next, for W worlds; written in place."""
 
     shown: dict[str, Tensor]
     state: Tensor
@@ -65,6 +70,10 @@ class Memory:
     """Last action, clipped, [W, A]; 0 where an episode has begun since."""
     over: Tensor
     """An episode began in the last decision, bool [W]."""
+
+    def tensors(self) -> list[Tensor]:
+        """All of it, in a fixed order."""
+        return [*self.shown.values(), self.state, self.last, self.over]
 
 
 class Schedule(NamedTuple):
@@ -93,13 +102,18 @@ class Learner:
     """Actor, critic, optimizer and rollout buffers of one run; of several processes, each has a learner with its share of the
     worlds, and all come to the same weights."""
 
-    def __init__(self, settings: Settings, worlds: Worlds, *, seed: int, ranks: Ranks | None = None) -> None:
+    def __init__(
+        self, settings: Settings, worlds: Worlds, *, seed: int, ranks: Ranks | None = None, compile: bool = False
+    ) -> None:  # fmt: skip
+        """``compile``: whether `ActorCritic.fuse` is called on the network."""
         self.settings, self.worlds = settings, worlds
         self.ranks = ranks or Ranks()
         device = worlds.device
         torch.manual_seed(seed)  # initial weights, the same in every process
         self.dice = torch.Generator(device).manual_seed(seed + RANK_SEED * self.ranks.rank)
         self.net = network(settings).to(device)
+        if compile:
+            self.net.fuse()
         fused = True if device.type == "cuda" else None
         self.optimizer = torch.optim.Adam(self.net.parameters(), settings.rate, eps=1e-5, fused=fused)
         count = worlds.num_envs
@@ -111,6 +125,12 @@ class Learner:
             over=torch.zeros(count, dtype=torch.bool, device=device),
         )
         self._kept: dict[str, Tensor] = {}
+        self._over = torch.zeros_like(self.memory.over)
+        """What the critic is told: whether the episode is over."""
+        self._noise = torch.zeros_like(self.memory.last)
+        self._row = torch.zeros(1, dtype=torch.int64, device=device)
+        """Of the buffers, which the next decision fills."""
+        self._decide = {taught: self._decision(taught) for taught in {False, settings.teacher > 0}}
 
     def update(self, plan: Schedule) -> dict[str, float]:
         """One rollout and what is learned from it; returns a row of the learning curve."""
@@ -137,31 +157,60 @@ class Learner:
         }
         return found | ({"pixels": self.net.pixels(shown[self.net.sees])} if self.net.sees else {})
 
+    def _decision(self, taught: bool) -> Callable[[], None]:
+        """`_decided`, on a GPU as one CUDA graph: network, worlds, pictures and buffers."""
+
+        def decide() -> None:
+            self._decided(taught)
+
+        if self.worlds.device.type != "cuda":
+            return decide
+        own = [*self.memory.tensors(), self._over, self._row, self.worlds.totals, *self.worlds.play.tensors()]
+        with torch.no_grad():
+            return captured(decide, own)
+
     @torch.no_grad()
     def _collect(self, plan: Schedule) -> dict[str, Tensor]:
         """Fills the buffers with one rollout; returns the inputs of the decision after it."""
+        s = self.settings
+        self._row.zero_()
+        self._over.copy_(self.memory.over)
+        decide = self._decide[plan.teacher > 0]
+        for _ in range(s.rollout):
+            self._noise.normal_(generator=self.dice)
+            decide()
+        # rewards are paid per step and scaled so that values stay near what one step pays, whatever the horizon
+        self._kept["gain"].mul_((1 - plan.gamma) / s.hold)
+        return self._inputs(self._over)
+
+    def _decided(self, taught: bool) -> None:
+        """A decision of all worlds and what it led to, written into memory and a row of the buffers."""
         s, m, std = self.settings, self.memory, self.net.std()
-        for t in range(s.rollout):
-            x = self._inputs(m.over if t == 0 else self.worlds.play.terminated)
-            mean, state = self.net.step(x.get("pixels"), x["numbers"], m.state)
-            noise = torch.randn(mean.shape, generator=self.dice, device=mean.device)
-            action = mean + std * noise
-            row = x | {
-                "action": action, "mean": mean, "begins": m.over, "far": m.shown["way"][:, 0] > s.near_m,
-                "log_prob": (-0.5 * noise.square() - std.log()).sum(1),
-            }  # fmt: skip
-            if plan.teacher:
-                row["taught"] = self.worlds.taught()
-            m.shown, gain, m.over, timed_out, idle = self.worlds.held(action)
-            # rewards are paid per step and scaled so that values stay near what one step pays, whatever the horizon
-            row |= {"gain": (1 - plan.gamma) / s.hold * gain, "over": m.over, "timed_out": timed_out, "valid": ~idle}
-            for name, value in row.items():
-                if name not in self._kept:
-                    self._kept[name] = torch.empty(s.rollout, *value.shape, dtype=value.dtype, device=value.device)
-                self._kept[name][t].copy_(value)
-            m.state = state * ~m.over[:, None]
-            m.last = action.clamp(-1, 1) * ~m.over[:, None]
-        return self._inputs(self.worlds.play.terminated)
+        x = self._inputs(self._over)
+        mean, state = self.net.step(x.get("pixels"), x["numbers"], m.state)
+        action = mean + std * self._noise
+        row = x | {
+            "action": action, "mean": mean, "begins": m.over, "far": m.shown["way"][:, 0] > s.near_m,
+            "log_prob": (-0.5 * self._noise.square() - std.log()).sum(1),
+        }  # fmt: skip
+        if taught:
+            row["taught"] = self.worlds.taught()
+        self._keep(row)
+        shown, gain, over, timed_out, idle = self.worlds.held_in_place(action)
+        self._keep({"gain": gain, "over": over, "timed_out": timed_out, "valid": ~idle})
+        self._row.add_(1).remainder_(s.rollout)
+        going = ~over[:, None]
+        overwrite(m.shown.values(), (shown[name] for name in m.shown))
+        overwrite((m.state, m.last, m.over), (state * going, action.clamp(-1, 1) * going, over))
+        self._over.copy_(self.worlds.play.terminated)
+
+    def _keep(self, row: dict[str, Tensor]) -> None:
+        for name, value in row.items():
+            if name not in self._kept:
+                self._kept[name] = torch.empty(
+                    self.settings.rollout, *value.shape, dtype=value.dtype, device=value.device
+                )
+            self._kept[name].index_copy_(0, self._row, value[None])
 
     @torch.no_grad()
     def _advantages(self, last: dict[str, Tensor], gamma: float) -> tuple[Tensor, Tensor, float]:

@@ -90,10 +90,3 @@ class HeldWorlds(HeldSteps, SocialNavTorchEnv):
     def taught(self) -> Tensor:
         """Nobody teaches social navigation."""
         raise InputError("There is no teacher of social navigation. Hint: teacher=0.")
-
-    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """As of `h3data_training.ppo.Worlds`."""
-        with torch.no_grad():
-            self._action.copy_(action)
-            self._advance()
-        return self._result(), *self._outcome()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks import training
 from h3data.errors import FormatError, InputError
 from h3data_pipelines.cli import main
 from h3data_training.episodes import make_bank
@@ -20,6 +21,7 @@ from h3data_training.settings import recipe
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM, ResNetPolicy
 from sim_kinematic.policies.pictured import FILE_FORMAT
+from tests.sim.torch.capturable import CapturableOnly
 from tests.training.runs import small
 
 SETTINGS = small(network="resnet18_lstm", picture_size=(30, 22), channels=(16, 1, 1), features=8, hidden=6, updates=2)
@@ -101,6 +103,34 @@ def test_rolling_resets_where_episodes_begin() -> None:
     for t in range(steps):
         out, state = net.remember(x[t][None], state * ~begins[t][:, None])
         torch.testing.assert_close(rolled[t], out[0])
+
+
+def test_a_decision_waits_for_nothing() -> None:
+    net = network(SETTINGS)
+    pixels, numbers, state = torch.rand(3, 1, 22, 30).half(), torch.rand(3, 9), torch.zeros(3, net.state_length)
+    with CapturableOnly(), torch.no_grad():
+        net.step(pixels, numbers, state)
+
+
+def test_its_benchmark_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """As on a GPU, in two small worlds: each case gives its lines, nothing after the time is over."""
+    monkeypatch.setattr(training, "ROLLOUT", 2)
+    lines: dict[str, float] = {}
+    times = iter([False, False, False, True])
+
+    def emit(name: str, value: float, unit: str) -> None:
+        lines[name] = value
+
+    cases = [training.Case(2), training.Case(2, hold=3), training.Case(2, hold=3, learned=4), training.Case(2)]
+    training.measure(emit, SETTINGS, cases, device="cpu", passes=1, over=lambda: next(times))
+    place = "training.cpu.paper_network_w2"
+    names = [f"{place}.{name}" for name in ("acting_decisions_per_s", "acting_steps_per_s", "environment_steps_per_s")]
+    held = [name.replace("w2", "w2_hold3") for name in names]
+    learning = [f"{place}_hold3.learning_{of}_per_s" for of in ("decisions", "steps")]
+    assert list(lines) == [*names, *held, *learning]
+    assert min(lines.values()) > 0
+    assert lines[held[1]] == pytest.approx(3 * lines[held[0]])
+    assert "no time for training.cpu.paper_network_w2\n" in capsys.readouterr().out
 
 
 def test_it_has_the_published_size() -> None:

@@ -20,13 +20,14 @@ from h3data_training import run as runs
 from h3data_training.curve import EVENTS, curve_of
 from h3data_training.episodes import by_home, make_bank
 from h3data_training.networks import ActorCritic
-from h3data_training.ppo import schedule
+from h3data_training.ppo import Learner, schedule
 from h3data_training.run import CHECKPOINT, POLICY, train
 from h3data_training.settings import RECIPES, recipe
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.pictured import PicturedNetwork
 from sim_kinematic.torch.episodes import EpisodeBank
+from tests.sim.torch.capturable import CapturableOnly
 from tests.training.runs import SMALL, small
 
 BLIND = ("humanoid_gps", "range_scan")
@@ -164,6 +165,24 @@ def test_other_settings_and_damaged_checkpoints_are_refused(whole: Path, bank: E
         (tmp_path / CHECKPOINT).write_bytes(damaged)
         with pytest.raises(FormatError, match=r"this is none, or damaged"):
             train(tmp_path, SMALL, bank=bank, resume=True)
+
+
+def test_a_decision_can_be_part_of_a_graph(bank: EpisodeBank) -> None:
+    """It waits for nothing, and finds and leaves everything in the same places."""
+    settings = small(observations=BLIND)
+    learner = Learner(settings, HeldWorlds(settings, bank, device="cpu", compile=False), seed=0)
+    plan = schedule(settings, 0.5, 5)
+    learner.update(plan)
+    kept = [*learner.memory.tensors(), *learner.worlds.play.tensors(), *learner._kept.values()]
+    places = [tensor.data_ptr() for tensor in kept]
+    with CapturableOnly(), torch.no_grad():
+        learner._decided(False)
+    learner._row.zero_()
+    learner.update(plan)
+    kept = [*learner.memory.tensors(), *learner.worlds.play.tensors(), *learner._kept.values()]
+    assert [tensor.data_ptr() for tensor in kept] == places
+    shown, *_ = learner.worlds.held(torch.zeros(4, 2))
+    assert all(torch.equal(shown[name], learner.worlds._shown[name]) for name in shown)
 
 
 def test_a_full_disk_loses_no_checkpoint(bank: EpisodeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

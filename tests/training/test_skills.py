@@ -16,7 +16,7 @@ from h3data_pipelines.cli import main
 from h3data_training import run as runs
 from h3data_training.curve import curve_of
 from h3data_training.networks import ActorCritic, actor_numbers
-from h3data_training.ppo import schedule
+from h3data_training.ppo import Learner, schedule
 from h3data_training.run import POLICY, train
 from h3data_training.skills.cpu_cameras import CpuSkillCameras
 from h3data_training.skills.episodes import make_skill_bank
@@ -34,8 +34,10 @@ from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.sources import EpisodeSource
+from sim_kinematic.torch.skills import driving
 from sim_kinematic.torch.skills.bank import COLUMNS, SkillBank
 from sim_kinematic.torch.skills.worlds import SkillTensors
+from tests.sim.torch.capturable import CapturableOnly
 
 SMALL = replace(
     skill_recipe("tiny", "pick"), scenes="small:1", episodes_per_home=1, starts=4, worlds=4, rollout=3, minibatches=2,
@@ -181,6 +183,16 @@ def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str, observati
     total = dict(zip(HeldSkills.counts, worlds.totals.tolist(), strict=True))
     assert total["succeeded"] >= 3
     assert total["failed"] == 0
+
+
+@pytest.mark.parametrize("teacher", [False, True])
+def test_a_decision_can_be_part_of_a_graph(bank: SkillBank, teacher: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driving, "_on_cpu", lambda robot: False)
+    learner = Learner(SMALL, HeldSkills(SMALL, bank, device="cpu", compile=False), seed=0)
+    learner.update(schedule(SMALL, 0.0, 10))
+    assert set(learner._decide) == {False, True}
+    with CapturableOnly(), torch.no_grad():
+        learner._decided(teacher)
 
 
 def test_a_teachers_weight_comes_down_to_nothing() -> None:

@@ -215,11 +215,12 @@ def _baked(scene: RenderScene, instances: Sequence[int], first_texture: int) -> 
     """Several instances as one mesh in world coordinates."""
     parts: list[dict[str, NDArray[Any]]] = []
     start = 0
-    for k in instances:
+    matrices = scene.instance_matrix[list(instances)]
+    rows = matrices[..., :3].transpose(1, 0, 2)
+    all_cofactors = np.stack([np.cross(rows[(r + 1) % 3], rows[(r + 2) % 3]) for r in range(3)], axis=1)
+    for k, matrix, cofactors in zip(instances, matrices, all_cofactors, strict=True):
         part = mesh_arrays(scene, int(scene.instance_mesh[k]), first_texture, instance=k)
-        matrix = scene.instance_matrix[k]
         linear = matrix[:, :3]
-        cofactors = np.stack([np.cross(linear[(r + 1) % 3], linear[(r + 2) % 3]) for r in range(3)])
         normals = part["normals"] @ cofactors.T
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         part["normals"] = (normals / np.where(length > 0, length, 1)).astype(np.float32)

@@ -101,20 +101,10 @@ class HeldSkills(HeldSteps):
             (live & play.robot.contact).sum(), (live & (play.held >= 0)).sum(),
         ]  # fmt: skip
 
-    def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """As of `h3data_training.ppo.Worlds`."""
-        with torch.no_grad():
-            self._action.copy_(action)
-            self._advance()
-        return self._result(), *self._outcome()
-
     def taught(self) -> Tensor:
         """As of `h3data_training.ppo.Worlds`."""
         with torch.no_grad():
             return taught(self.sim, self.play, self.hold, by_sight=self._by_sight)
-
-    def _result(self) -> dict[str, Tensor]:
-        return {name: tensor.clone() for name, tensor in self._shown.items()}
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
         """As of `h3data_training.ppo.Worlds`."""

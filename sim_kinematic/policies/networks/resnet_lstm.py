@@ -6,7 +6,7 @@ picture of half the size; what it finds is squeezed to about 2,048 numbers and t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
@@ -29,15 +29,28 @@ LEAST_SIDE = 8
 """Of a picture [pixels]."""
 
 
+class _Norm(nn.GroupNorm):
+    """On a GPU in the precision of what it is given. Autocast would take 32 bits, and so would all that follows until the next
+    convolution: three times the memory traffic, which takes longer than the convolutions. Sums are of 32 bits either way."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        if not input.is_cuda:
+            return super().forward(input)
+        with torch.autocast(input.device.type, enabled=False):
+            return F.group_norm(
+                input, self.num_groups, self.weight.to(input.dtype), self.bias.to(input.dtype), self.eps
+            )
+
+
 class _Block(nn.Module):
     def __init__(self, given: int, planes: int, stride: int) -> None:
         super().__init__()
         self.conv_0 = nn.Conv2d(given, planes, 3, stride, 1, bias=False)
-        self.norm_0 = nn.GroupNorm(GROUPS, planes)
+        self.norm_0 = _Norm(GROUPS, planes)
         self.conv_1 = nn.Conv2d(planes, planes, 3, 1, 1, bias=False)
-        self.norm_1 = nn.GroupNorm(GROUPS, planes)
+        self.norm_1 = _Norm(GROUPS, planes)
         self.skip = nn.Conv2d(given, planes, 1, stride, bias=False) if stride > 1 or given != planes else None
-        self.skip_norm = None if self.skip is None else nn.GroupNorm(GROUPS, planes)
+        self.skip_norm = None if self.skip is None else _Norm(GROUPS, planes)
 
     def forward(self, x: Tensor) -> Tensor:
         inner = self.norm_1(self.conv_1(F.relu(self.norm_0(self.conv_0(x)))))
@@ -53,7 +66,7 @@ class ResNet18(nn.Module):
         """``size`` is width and height [pixels]; ``given`` are the planes of a picture, ``planes`` those of the first stage."""
         super().__init__()
         self.first = nn.Conv2d(given, planes, 7, 2, 3, bias=False)
-        self.norm = nn.GroupNorm(GROUPS, planes)
+        self.norm = _Norm(GROUPS, planes)
         widths = [planes, planes, 2 * planes, 4 * planes, 8 * planes]
         self.blocks = nn.ModuleList(
             _Block(widths[k] if half == 0 else widths[k + 1], widths[k + 1], 2 if k and half == 0 else 1)
@@ -63,7 +76,7 @@ class ResNet18(nn.Module):
         places = _places(size)
         squeezed = max(round(SQUEEZED / places), GROUPS)
         self.squeeze = nn.Conv2d(widths[-1], squeezed, 3, 1, 1, bias=False)
-        self.squeeze_norm = nn.GroupNorm(1, squeezed)
+        self.squeeze_norm = _Norm(1, squeezed)
         self.out = nn.Linear(squeezed * places, features)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -94,14 +107,19 @@ class ResNetLSTM(nn.Module):
         self.lstm = nn.LSTM((0 if size is None else features) + numbers, hidden, LAYERS)
         self.act = nn.Linear(hidden, 2)
         self.state_length = 2 * LAYERS * hidden
+        self.see: Callable[[Tensor], Tensor] = self.seen
+        """`seen`, or the same compiled."""
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
         """What goes into the recurrent layers, [n, F], of pictures [n, planes, H, W] and numbers [n, N]."""
-        if self.visual is None or pixels is None:
-            return numbers
+        return numbers if pixels is None else torch.cat([self.see(pixels), numbers], -1)
+
+    def seen(self, pixels: Tensor) -> Tensor:
+        """What is found in pictures [n, planes, H, W], [n, F]."""
+        assert self.visual is not None
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
-            seen = self.visual(pixels.float().contiguous(memory_format=torch.channels_last))
-        return torch.cat([seen.float(), numbers], -1)
+            whole = pixels if pixels.is_cuda else pixels.float()
+            return self.visual(whole.contiguous(memory_format=torch.channels_last)).float()
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """What is known after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""

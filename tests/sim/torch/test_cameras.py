@@ -11,7 +11,6 @@ import pytest
 from tests.render.gpu_emulator import COMPILER, EmulatedRenderer
 
 torch = pytest.importorskip("torch")
-from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.render.gpu import GpuRenderer  # noqa: E402
@@ -28,6 +27,7 @@ from sim_kinematic.torch import cameras as torch_cameras  # noqa: E402
 from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402
 from sim_kinematic.torch.state import HumanTensors, RobotTensors  # noqa: E402
 from tests.sim.steppers import Batch  # noqa: E402
+from tests.sim.torch.capturable import CapturableOnly  # noqa: E402
 from tests.training.runs import small  # noqa: E402
 
 SIZE = (64, 48)
@@ -124,17 +124,6 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
     env.play.ended.fill_(True)  # the next episode of the bank is in the other home
     seen, want = env.step(torch.ones(4, 2))[0], worlds.held(torch.ones(4, 2))[0]
     assert levels_apart(seen, want) < 5e-3
-
-
-class CapturableOnly(TorchDispatchMode):
-    """Refuses operations that cannot be part of a CUDA graph: values that the host reads, or makes, and shapes that follow from
-    values."""
-
-    NO = ("_local_scalar_dense", "lift_fresh", "nonzero", "masked_select", "unique")
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        assert not any(name in str(func) for name in self.NO), func
-        return func(*args, **(kwargs or {}))
 
 
 def test_two_cameras_in_turn_upload_nothing(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
