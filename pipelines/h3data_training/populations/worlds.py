@@ -108,16 +108,16 @@ class _Worlds:
         self._sim = RearrangeTensors(bank, device=device, planners=planners, interrupts="always", repeats=False)
         self._play = self._sim.before_the_first(torch.zeros(count, dtype=torch.int64))
         self._choosers = [
-            _Chooser(self._sim, cast, agent) for cast, agent in zip(casts, (ROBOT, "human"), strict=False)
+            _Chooser(self._sim, self._play, cast, agent) for cast, agent in zip(casts, (ROBOT, "human"), strict=False)
         ]
         self._nothing = torch.full((count,), FREE, dtype=torch.int64, device=device)
         self._step = torch.zeros(1, dtype=torch.int64, device=device)
         self._rewards = torch.zeros(self._longest, count, dtype=self._sim.dtype, device=device)
         # in parts: what takes most of the time to compile grows faster than its size
         fuse = fused if compiles else _plain
-        self._paths = fuse(lambda: Paths.of(self._sim, self._play, self._sim.tables.at(self._play.episode)))
+        self._find = fuse(self._paths)
         self._choose = [fuse(chooser.choose) for chooser in self._choosers]
-        self._moved = fuse(self._sim.step)
+        self._move = fuse(self._moved)
         self._advance: Callable[[], object] | None = None
 
     def played(self, jobs: Sequence[Job]) -> Batch:
@@ -153,15 +153,21 @@ class _Worlds:
 
     def _eager(self) -> None:
         """One step of all worlds, in place."""
-        paths, chosen = self._paths(), []
+        paths, chosen = self._find(), []
         for chooser, choose in zip(self._choosers, self._choose, strict=True):
-            choice, row = choose(self._play, paths, chooser.noise(self._step))
-            chooser.keep(row, self._step)
+            choice, *row = choose(*paths, chooser.noise(self._step))
+            chooser.keep(_Row(*row), self._step)
             chosen.append(choice)
-        after = self._moved(self._play, chosen[0], chosen[1] if len(chosen) > 1 else self._nothing)
-        overwrite(self._play.tensors(), after.tensors())
-        self._rewards.index_copy_(0, self._step, after.reward[None])
+        self._move(chosen[0], chosen[1] if len(chosen) > 1 else self._nothing)
+        self._rewards.index_copy_(0, self._step, self._play.reward[None])
         self._step.add_(1)
+
+    def _paths(self) -> tuple[Tensor, ...]:
+        paths = Paths.of(self._sim, self._play, self._sim.tables.at(self._play.episode))
+        return paths.xz, paths.lengths, paths.ahead
+
+    def _moved(self, robot: Tensor, human: Tensor) -> None:
+        overwrite(self._play.tensors(), self._sim.step(self._play, robot, human).tensors())
 
 
 def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
@@ -211,8 +217,9 @@ class _Row(NamedTuple):
 class _Chooser:
     """The choosers of one agent of all worlds, one network for each name."""
 
-    def __init__(self, sim: RearrangeTensors, cast: Sequence[tuple[str, int]], agent: str) -> None:
+    def __init__(self, sim: RearrangeTensors, play: Play, cast: Sequence[tuple[str, int]], agent: str) -> None:
         """``cast`` are names and in how many worlds each plays."""
+        self._play = play
         self._sim, self._agent = sim, agent
         self._names = [name for name, _ in cast]
         most = max(n for _, n in cast)
@@ -254,9 +261,10 @@ class _Chooser:
         self._state.zero_()
         self._thought.zero_()
 
-    def choose(self, play: Play, paths: Paths, noise: Tensor) -> tuple[Tensor, _Row]:
-        """Choices [W] by scores and ``noise`` [W, C], -1 of those that are not asked, and what was chosen by."""
-        view = View.of(self._sim, play, self._agent, paths)
+    def choose(self, xz: Tensor, lengths: Tensor, ahead: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
+        """Choices [W] by `Paths` and ``noise`` [W, C], -1 of those that are not asked, and the parts of a `_Row`."""
+        play = self._play
+        view = View.of(self._sim, play, self._agent, Paths(xz, lengths, ahead))
         asked, view = self._asked(view)
         names = self._observations
         each, rest = encode(observed(view, names), self._agent, self._sim.bank.objects, observations=names)
@@ -268,10 +276,10 @@ class _Chooser:
         log_probs = scores.masked_fill(~may, -torch.inf).log_softmax(-1)
         chosen = (log_probs - (-noise.log()).log()).argmax(-1)
         log_prob = log_probs.gather(1, chosen[:, None])[:, 0]
-        row = _Row(each, rest, self._state.clone(), may, chosen, log_prob, asked)
+        before = self._state.clone()
         self._state.copy_(torch.where(asked[:, None], state, self._state))
         self._thought.copy_(torch.where(asked, play.steps, self._thought))
-        return torch.where(asked, chosen, FREE), row
+        return torch.where(asked, chosen, FREE), each, rest, before, may, chosen, log_prob, asked
 
     def noise(self, step: Tensor) -> Tensor:
         """Of the step with this number [1], uniform in 0..1, [W, C]."""
