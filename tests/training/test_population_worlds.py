@@ -233,6 +233,27 @@ def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], t
         assert "\n" not in str(caught.value)
 
 
+def test_agents_begin_where_they_do_in_episodes_of_the_same_home(
+    episodes: Sequence[RearrangeEpisode], short: None
+) -> None:
+    jobs = jobs_of(24, {ROBOT: network()})
+    kept, moved = (players_of(episodes, moves_starts=moves) for moves in (False, True))
+    for players, most in ((kept, 4), (moved, 16)):
+        places = []
+        for seed in range(3):
+            players.play([job._replace(seed=seed) for job in jobs])
+            places.append(
+                players._worlds._starts(torch.tensor([j.entry for j in jobs]), torch.Generator().manual_seed(seed))
+            )
+        found = torch.cat(places)
+        known = torch.tensor(np.array([episode.starts for episode in episodes]))
+        for who in range(2):
+            assert (found[:, None, who] == known[None, :, who]).all(-1).any(1).all()
+        assert 4 <= len(found.flatten(1).unique(dim=0)) <= most
+        assert (found[:, 0, :2] - found[:, 1, :2]).norm(dim=1).min() > 0.5
+    assert len(found.flatten(1).unique(dim=0)) > 6
+
+
 # --- runs ---------------------------------------------------------------------------------------------------------------
 def arrays(folder: Path, name: str = POLICY) -> dict[str, np.ndarray]:
     found = network_of(f"weights:{folder / name}")

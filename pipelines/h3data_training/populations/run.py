@@ -95,8 +95,10 @@ def _players(
     from sim_kinematic.torch.rearrange.bank import RearrangeBank
 
     if episodes is None:
-        return TensorPlayers(bank_of(settings, file or folder / BANK, workers=workers), device)
-    return TensorPlayers(RearrangeBank.of([replace(one, spec=ORACLE_RULES) for one in episodes]), device)
+        bank = bank_of(settings, file or folder / BANK, workers=workers)
+    else:
+        bank = RearrangeBank.of([replace(one, spec=ORACLE_RULES) for one in episodes])
+    return TensorPlayers(bank, device, moves_starts=settings.moves_starts)
 
 
 def _kept(folder: Path, settings: PopulationSettings, seed: int) -> dict[str, Any] | None:

@@ -50,6 +50,9 @@ class PopulationSettings:
     oracle: bool = False
     """Whether episodes have oracle skills, and are played in worlds on a device, all of an update at once
     (`h3data_training.populations.worlds`). They have the paper's people, whoever they were drawn for."""
+    moves_starts: bool = True
+    """In worlds, whether each agent begins where it does in any episode of the same home: else a robot learns by heart whom it
+    meets where."""
     without: tuple[str, ...] = ()
     """Some of `ABLATIONS`, of the robot alone."""
     think_steps: int = 30
@@ -77,7 +80,7 @@ class PopulationSettings:
     """Share of the weight of the entropy that is left at the end."""
     horizon: float = 500.0
     """Steps that the value looks ahead; a decision that takes d steps is discounted by (1 - 1 / horizon)^d."""
-    gae_lambda: float = 0.95
+    gae_lambda: float = 0.98
     clip: float = 0.2
     gradient_norm: float = 0.5
     reward_scale: float = 0.1

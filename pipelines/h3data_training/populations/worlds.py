@@ -34,6 +34,8 @@ from sim_kinematic.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLA
 from sim_kinematic.torch.rearrange.state import ABORTED, DONE, FREE, NOBODY, Play
 from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
 
+APART_M = 2.0
+"""Agents begin at least this far from each other."""
 LOOKS_EVERY = 25
 """Steps after which it is looked whether all episodes are over: that waits for the device."""
 Arrays = Mapping[str, Tensor]
@@ -46,14 +48,22 @@ class TensorPlayers:
 
     workers = 1
 
-    def __init__(self, bank: RearrangeBank, device: torch.device | str, *, compile: bool | None = None) -> None:
+    def __init__(
+        self,
+        bank: RearrangeBank,
+        device: torch.device | str,
+        *,
+        compile: bool | None = None,
+        moves_starts: bool = False,
+    ) -> None:
         """
         Args:
             bank: Episodes to choose from.
             device: Where the worlds are.
             compile: Whether the operations of a step are fused; by default on a GPU, if Triton is installed.
+            moves_starts: Whether agents begin where they do in any episodes of the same home.
         """
-        self._bank, self.device = bank, torch.device(device)
+        self._bank, self.device, self._moves_starts = bank, torch.device(device), moves_starts
         self._compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
         self._worlds: _Worlds | None = None
 
@@ -77,7 +87,9 @@ class TensorPlayers:
         with torch.no_grad():
             if self._worlds is None or self._worlds.casts != casts:
                 self._worlds = None  # their memory first
-                self._worlds = _Worlds(self._bank, casts, self.device, compiles=self._compiles)
+                self._worlds = _Worlds(
+                    self._bank, casts, self.device, compiles=self._compiles, moves_starts=self._moves_starts
+                )
             return self._worlds.played(jobs)
 
     def close(self) -> None:
@@ -101,7 +113,10 @@ def _casts(jobs: Sequence[Job]) -> Casts:
 class _Worlds:
     """Worlds in which one update after the other is played, in the same places in memory: on a GPU a step is one CUDA graph."""
 
-    def __init__(self, bank: RearrangeBank, casts: Casts, device: torch.device, *, compiles: bool) -> None:
+    def __init__(
+        self, bank: RearrangeBank, casts: Casts, device: torch.device, *, compiles: bool, moves_starts: bool
+    ) -> None:
+        self._moves_starts = moves_starts
         self.casts = casts
         count, self._longest = sum(n for _, n in casts[0]), bank.spec.max_steps
         planners = () if len(casts) > 1 else ("human",)
@@ -123,14 +138,16 @@ class _Worlds:
     def played(self, jobs: Sequence[Job]) -> Batch:
         """Some episodes, in their order."""
         device, seed = self._sim.device, episode_seed(jobs[0].seed, jobs[0].number) % 2**63
-        entries = torch.tensor([job.entry for job in jobs], device=device)
-        fresh = self._sim.start(self._sim.before_the_first(entries - 1))
+        entries, dice = (
+            torch.tensor([job.entry for job in jobs], device=device),
+            torch.Generator(device).manual_seed(seed),
+        )
+        fresh = self._sim.start_at(entries, self._starts(entries, dice))
         if len(self._choosers) == 1:
             orders_ = _orders(jobs, self._sim.bank.objects, device)
             fresh = fresh._replace(human_does=fresh.human_does._replace(order=orders_))
         overwrite(self._play.tensors(), fresh.tensors())
         self._step.zero_()
-        dice = torch.Generator(device).manual_seed(seed)
         for chooser, names in zip(self._choosers, ([ROBOT] * len(jobs), [job.partner for job in jobs]), strict=False):
             chooser.begin(jobs, names, dice, steps=self._longest)
         if self._advance is None:
@@ -142,6 +159,23 @@ class _Worlds:
             if steps % LOOKS_EVERY == 1 and bool(self._play.ended.all()):
                 break
         return _batch(self._sim, self._play, jobs, self._choosers, self._rewards[:steps].double())
+
+    def _starts(self, entries: Tensor, dice: torch.Generator) -> Tensor:
+        """``(x, z, heading)`` of robot and person, [W, 2, 3]: with `moves_starts` each where it begins in some episode in the
+        same home, if they are not too near there. So there are as many meetings as pairs of episodes in a home."""
+        starts = self._sim.tables.starts
+        own = starts[entries]
+        if not self._moves_starts:
+            return own
+        place = self._sim.tables.place
+        by_home, counts = place.argsort(stable=True), place.bincount()
+        home = place[entries][:, None]
+        picked = torch.rand(len(entries), 2, generator=dice, device=entries.device)
+        nth = torch.minimum((picked * counts[home]).long(), counts[home] - 1)
+        other = by_home[(counts.cumsum(0) - counts)[home] + nth]
+        found = torch.stack([starts[other[:, who], who] for who in range(2)], 1)
+        gap = found[:, 0, :2] - found[:, 1, :2]
+        return torch.where((torch.hypot(gap[:, 0], gap[:, 1]) < APART_M)[:, None, None], own, found)
 
     def _prepared(self) -> Callable[[], object]:
         """A step, on a GPU as one CUDA graph."""

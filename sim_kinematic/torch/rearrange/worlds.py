@@ -93,6 +93,10 @@ class RearrangeTensors:
             return self._kept(play, robot, human)
         return self._begun(play, self._moved(play, robot, human), play.ended)
 
+    def start_at(self, episode: Tensor, starts: Tensor) -> Play:
+        """All worlds at the start of these episodes [W], but with robot and person at ``(x, z, heading)`` [W, 2, 3]."""
+        return self._at_start(episode, starts)
+
     def start(self, play: Play) -> Play:
         """Those worlds that have ended at the start of their next episode."""
         return self._begun(play, play, play.ended)
@@ -181,14 +185,13 @@ class RearrangeTensors:
     def _begun(self, before: Play, after: Play, fresh: Tensor) -> Play:
         """Worlds that are ``fresh`` [W] at the start of their next episode, the others as they are ``after``."""
         number = (before.episode + 1) % len(self.bank)
-        start = self._at_start(number)
+        start = self._at_start(number, self.tables.starts[number])
         kept = [choose(fresh, a, b) for a, b in zip(start.tensors(), after.tensors(), strict=True)]
         return packed(start, kept)
 
-    def _at_start(self, episode: Tensor) -> Play:
-        """All worlds at the start of these episodes."""
+    def _at_start(self, episode: Tensor, starts: Tensor) -> Play:
         fresh = Play.before_the_first(episode, self.bank.objects, self.dtype)
-        starts, objects = self.tables.starts[episode], self.tables.spots[episode, : self.bank.objects]
+        objects = self.tables.spots[episode, : self.bank.objects]
         (rx, rz, rh), (hx, hz, hh) = starts[:, 0].unbind(-1), starts[:, 1].unbind(-1)
         robot = fresh.robot._replace(xz=torch.stack([rx, rz], -1), heading=rh)
         human = fresh.human._replace(xz=torch.stack([hx, hz], -1), heading=hh)
