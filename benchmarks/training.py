@@ -2,9 +2,8 @@
 
 ``training.cuda.paper_network_w*.acting_*`` is the environment with the arm's depth picture and the network that acts in it, one
 CUDA graph a decision, rollouts kept, nothing learned; ``environment_*`` is the environment alone, ``learning_*`` is both and
-what is learned from each rollout. ``_compiled`` compiles what sees pictures (`torch.compile`); ``_hold3`` holds an action for
-three steps, as the recipe ``fast`` does. Worlds are in homes of both generations. Lines that begin with ``#`` say how far it is
-and which kernels take the time of a decision.
+what is learned from each rollout. ``_hold3`` holds an action for three steps, as the recipe ``fast`` does. Worlds are in homes
+of both generations. Lines that begin with ``#`` say how far it is and which kernels take the time of a decision.
 """
 
 from __future__ import annotations
@@ -34,25 +33,20 @@ class Case(NamedTuple):
     """Steps for which an action is held."""
     learned: int = 0
     """Decisions of a rollout that is learned from; 0: nothing is learned."""
-    compiled: bool = False
-    """Whether the part of the network that sees pictures is compiled."""
 
     @property
     def name(self) -> str:
-        return f"paper_network_w{self.worlds}{f'_hold{self.hold}' * (self.hold > 1)}{'_compiled' * self.compiled}"
+        return f"paper_network_w{self.worlds}{f'_hold{self.hold}' * (self.hold > 1)}"
 
 
-CASES = (
-    Case(2048), Case(512), Case(96), Case(2048, compiled=True), Case(96, compiled=True), Case(96, learned=128),
-    Case(512, learned=32), Case(2048, hold=3), Case(96, learned=128, compiled=True), Case(512, compiled=True),
-)  # fmt: skip
+CASES = (Case(2048), Case(512), Case(96), Case(96, learned=128), Case(512, learned=32), Case(2048, hold=3))
 """Those that say most come first."""
 ROLLOUT = 32
 """Decisions of one that is not."""
 PICTURES_AT_ONCE = 8192
 """Of a minibatch: what the backward pass keeps of them takes some 20 GB."""
-ENOUGH_S = 100.0
-"""No case is begun after so many seconds."""
+ENOUGH_S = 240.0
+"""No case is begun after so many seconds; one takes some 35, most of them to compile the step of the worlds."""
 
 
 def run(emit: Emit) -> None:
@@ -103,7 +97,7 @@ def _lines(case: Case, settings: Settings, bank: EpisodeBank, device: str, passe
     while case.worlds % (2 * parts) == 0 and case.worlds * case.learned > PICTURES_AT_ONCE * parts:
         parts *= 2
     s = replace(settings, worlds=case.worlds, hold=case.hold, rollout=case.learned or ROLLOUT, minibatches=parts)
-    learner = _learner(s, bank, device, compile=case.compiled)
+    learner = _learner(s, bank, device)
     yield from _learning(learner) if case.learned else _acting(learner, passes)
 
 
@@ -133,7 +127,7 @@ def _learning(learner: Learner) -> Iterator[Line]:
     yield "learning_steps_per_s", rate * s.hold, "steps/s"
 
 
-def _learner(settings: Settings, bank: EpisodeBank, device: str, *, compile: bool) -> Learner:
+def _learner(settings: Settings, bank: EpisodeBank, device: str) -> Learner:
     import torch
 
     from h3data_training.ppo import Learner
@@ -143,7 +137,7 @@ def _learner(settings: Settings, bank: EpisodeBank, device: str, *, compile: boo
     if device == "cuda":
         torch.cuda.empty_cache()
     start = time.perf_counter()
-    learner = Learner(settings, HeldWorlds(settings, bank, device=device), seed=0, compile=compile)
+    learner = Learner(settings, HeldWorlds(settings, bank, device=device), seed=0)
     memory = f", {torch.cuda.memory_reserved() / 1e9:.1f} GB" if device == "cuda" else ""
     print(f"# {settings.worlds} worlds after {time.perf_counter() - start:.0f} s{memory}", flush=True)
     return learner

@@ -27,7 +27,6 @@ from sim_kinematic.policies.pictured import (
     picture_in,
     picture_length,
 )
-from sim_kinematic.torch.graph import fused
 
 Shown = Mapping[str, Tensor]
 
@@ -110,9 +109,6 @@ class ActorCritic(nn.Module):
         last = self.act[-1]
         assert isinstance(last, nn.Linear)
         return last
-
-    def fuse(self) -> None:
-        """Compiles what sees pictures, where that is worth it (`sim_kinematic.torch.graph.fused`)."""
 
     def std(self) -> Tensor:
         return self.log_std.exp().clamp_min(self.least_std)
@@ -210,10 +206,6 @@ class ResNetActorCritic(ActorCritic):
         )  # fmt: skip
         self.state_length = self.actor.state_length
         return self.actor.act
-
-    def fuse(self) -> None:
-        if self.sees:
-            self.actor.see = fused(self.actor.seen)
 
     def pixels(self, seen: Tensor) -> Tensor:
         return pixels_of(seen)

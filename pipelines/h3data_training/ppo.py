@@ -102,18 +102,13 @@ class Learner:
     """Actor, critic, optimizer and rollout buffers of one run; of several processes, each has a learner with its share of the
     worlds, and all come to the same weights."""
 
-    def __init__(
-        self, settings: Settings, worlds: Worlds, *, seed: int, ranks: Ranks | None = None, compile: bool = False
-    ) -> None:  # fmt: skip
-        """``compile``: whether `ActorCritic.fuse` is called on the network."""
+    def __init__(self, settings: Settings, worlds: Worlds, *, seed: int, ranks: Ranks | None = None) -> None:
         self.settings, self.worlds = settings, worlds
         self.ranks = ranks or Ranks()
         device = worlds.device
         torch.manual_seed(seed)  # initial weights, the same in every process
         self.dice = torch.Generator(device).manual_seed(seed + RANK_SEED * self.ranks.rank)
         self.net = network(settings).to(device)
-        if compile:
-            self.net.fuse()
         fused = True if device.type == "cuda" else None
         self.optimizer = torch.optim.Adam(self.net.parameters(), settings.rate, eps=1e-5, fused=fused)
         count = worlds.num_envs

@@ -19,7 +19,8 @@ from h3data_training.networks import actor_numbers, network
 from h3data_training.run import POLICY, train
 from h3data_training.settings import recipe
 from sim_kinematic.policies.learned import network_of
-from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM, ResNetPolicy
+from sim_kinematic.policies.networks import resnet_lstm
+from sim_kinematic.policies.networks.resnet_lstm import ResNet18, ResNetLSTM, ResNetPolicy
 from sim_kinematic.policies.pictured import FILE_FORMAT
 from tests.sim.torch.capturable import CapturableOnly
 from tests.training.runs import small
@@ -103,6 +104,27 @@ def test_rolling_resets_where_episodes_begin() -> None:
     for t in range(steps):
         out, state = net.remember(x[t][None], state * ~begins[t][:, None])
         torch.testing.assert_close(rolled[t], out[0])
+
+
+def test_norms_of_sixteen_bits_are_as_near(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where convolutions have 16 bits, as on a GPU, norms of 16 are no farther from the exact features and gradients than norms
+    of 32, which round again in the next convolution."""
+    torch.manual_seed(0)
+    visual, pixels = ResNet18((30, 22), given=1, planes=32, features=64), torch.rand(8, 1, 22, 30)
+    target = torch.randn(8, 64)
+
+    def learned(*, short: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        visual.zero_grad()
+        with torch.autocast("cpu", torch.bfloat16, enabled=short):
+            found = visual(pixels).float()
+        (found - target).square().mean().backward()
+        return found.detach(), torch.cat([p.grad.flatten() for p in visual.parameters() if p.grad is not None])
+
+    exact, short = learned(short=False), learned(short=True)
+    monkeypatch.setattr(resnet_lstm._Norm, "forward", lambda norm, x: torch.nn.GroupNorm.forward(norm, x.float()))
+    for wanted, found, long in zip(exact, short, learned(short=True), strict=True):
+        assert not torch.equal(found, long)
+        assert (found - wanted).norm() < 1.5 * (long - wanted).norm() < 0.4 * wanted.norm()
 
 
 def test_a_decision_waits_for_nothing() -> None:

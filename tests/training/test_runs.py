@@ -170,8 +170,8 @@ def test_other_settings_and_damaged_checkpoints_are_refused(whole: Path, bank: E
 def test_a_decision_can_be_part_of_a_graph(bank: EpisodeBank) -> None:
     """It waits for nothing, and finds and leaves everything in the same places."""
     settings = small(observations=BLIND)
-    learner = Learner(settings, HeldWorlds(settings, bank, device="cpu", compile=False), seed=0)
-    plan = schedule(settings, 0.5, 5)
+    worlds = HeldWorlds(settings, bank, device="cpu", compile=False)
+    learner, plan = Learner(settings, worlds, seed=0), schedule(settings, 0.5, 5)
     learner.update(plan)
     kept = [*learner.memory.tensors(), *learner.worlds.play.tensors(), *learner._kept.values()]
     places = [tensor.data_ptr() for tensor in kept]
@@ -181,8 +181,8 @@ def test_a_decision_can_be_part_of_a_graph(bank: EpisodeBank) -> None:
     learner.update(plan)
     kept = [*learner.memory.tensors(), *learner.worlds.play.tensors(), *learner._kept.values()]
     assert [tensor.data_ptr() for tensor in kept] == places
-    shown, *_ = learner.worlds.held(torch.zeros(4, 2))
-    assert all(torch.equal(shown[name], learner.worlds._shown[name]) for name in shown)
+    shown, *_ = worlds.held(torch.zeros(4, 2))
+    assert all(torch.equal(shown[name], worlds._shown[name]) for name in shown)
 
 
 def test_a_full_disk_loses_no_checkpoint(bank: EpisodeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ picture of half the size; what it finds is squeezed to about 2,048 numbers and t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
@@ -30,11 +30,11 @@ LEAST_SIDE = 8
 
 
 class _Norm(nn.GroupNorm):
-    """On a GPU in the precision of what it is given. Autocast would take 32 bits, and so would all that follows until the next
-    convolution: three times the memory traffic, which takes longer than the convolutions. Sums are of 32 bits either way."""
+    """Keeps the precision of its input, with sums of 32 bits: autocast would return 32 bits, which everything up to the next
+    convolution would then read and write."""
 
     def forward(self, input: Tensor) -> Tensor:
-        if not input.is_cuda:
+        if input.dtype == torch.float32:
             return super().forward(input)
         with torch.autocast(input.device.type, enabled=False):
             return F.group_norm(
@@ -107,19 +107,15 @@ class ResNetLSTM(nn.Module):
         self.lstm = nn.LSTM((0 if size is None else features) + numbers, hidden, LAYERS)
         self.act = nn.Linear(hidden, 2)
         self.state_length = 2 * LAYERS * hidden
-        self.see: Callable[[Tensor], Tensor] = self.seen
-        """`seen`, or the same compiled."""
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
         """What goes into the recurrent layers, [n, F], of pictures [n, planes, H, W] and numbers [n, N]."""
-        return numbers if pixels is None else torch.cat([self.see(pixels), numbers], -1)
-
-    def seen(self, pixels: Tensor) -> Tensor:
-        """What is found in pictures [n, planes, H, W], [n, F]."""
-        assert self.visual is not None
+        if self.visual is None or pixels is None:
+            return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
             whole = pixels if pixels.is_cuda else pixels.float()
-            return self.visual(whole.contiguous(memory_format=torch.channels_last)).float()
+            seen = self.visual(whole.contiguous(memory_format=torch.channels_last))
+        return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """What is known after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
