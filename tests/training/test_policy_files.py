@@ -219,10 +219,10 @@ def test_a_packed_policy_is_the_same_one(file: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("policy", "digest"),
     [
-        ("end_to_end", "5c2e8ce5b0473849"),
-        ("learn_single", "ec779074349c3ed1"),
-        ("plan_pop_3_robot", "6fc1c62be73f4cf0"),
-        ("learn_pop", "59753a245087fccb"),
+        ("end_to_end", "31ad00b88853dd58"),
+        ("learn_single", "498a2b80702c051a"),
+        ("plan_pop_3_robot", "a02792938bfa1b53"),
+        ("learn_pop", "fe4264da2f507392"),
     ],
 )
 def test_the_policies_of_the_package_are_those_that_were_measured(policy: str, digest: str) -> None:

@@ -318,13 +318,26 @@ def test_an_ablation_is_kept_by_its_file(
         ChooserNetwork(card=card, arrays=robot.arrays)
 
 
-def test_files_of_before_still_play() -> None:
-    """Their cards do not say anything of primitives, they are shown less, and their digests are those that recordings name."""
-    network = network_of("plan_pop_3_robot")
-    assert isinstance(network, ChooserNetwork)
-    assert network.card.primitives
-    assert network.offered.all()
-    assert network.digest.startswith("6fc1c62be73f4cf0")
+def test_files_of_before_still_play(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:
+    """Those of version 0.2 are shown less: no paths ahead, no velocity."""
+    new = ("path_ahead", "other_path_ahead", "other_velocity")
+    network = chooser()
+    card = msgspec.structs.replace(
+        network.card, observations=tuple(name for name in OBSERVATIONS if name not in new), training={}
+    )
+    of_object, rest = (
+        now - before for now, before in zip(input_lengths(ROBOT), input_lengths(ROBOT, card.observations), strict=True)
+    )
+    arrays = dict(network.arrays)
+    for name, less in {"object.weight": of_object, "gru.weight_ih": rest, "rest_0.weight": rest}.items():
+        arrays[name] = arrays[name][:, less:]
+    old = ChooserNetwork(card=card, arrays=arrays)
+    save_pictured(old, tmp_path / "old.npz")
+    kept = network_of(f"weights:{tmp_path / 'old.npz'}")
+    assert isinstance(kept, ChooserNetwork)
+    assert kept.digest == old.digest != network.digest
+    played = playing.play_episode(Job(1, 0, "both", {ROBOT: kept}, 0, 0.99), episodes[0])
+    assert played.decisions[ROBOT].each.shape[-1] == input_lengths(ROBOT, card.observations)[0]
 
 
 # --- learning -----------------------------------------------------------------------------------------------------------
