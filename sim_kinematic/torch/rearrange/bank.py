@@ -3,7 +3,7 @@ stand, the shortest paths to there) is done once on the host, so that steps on a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
+from h3data.progress import progress
 from h3data.scene import Scene
 from sim_kinematic.agents.oracle.ways import Ways
 from sim_kinematic.policies.rearrange import partner_plan, planner
@@ -175,11 +176,21 @@ _EPISODES: Sequence[RearrangeEpisode] = ()
 
 def _all_ways(episodes: Sequence[RearrangeEpisode], workers: int) -> list[list[Ways]]:
     global _EPISODES
-    if workers == 1:
-        return [_ways(episode) for episode in episodes]
-    _EPISODES = episodes
-    with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
-        return list(pool.map(_ways_of, range(len(episodes)), chunksize=8))
+    found: list[list[Ways]] = []
+    with progress(desc="paths", total=len(episodes), unit="episode", delay=1.0, leave=False) as done:
+
+        def add(ways: Iterable[list[Ways]]) -> None:
+            for one in ways:
+                found.append(one)
+                done.update()
+
+        if workers == 1:
+            add(map(_ways, episodes))
+            return found
+        _EPISODES = episodes
+        with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
+            add(pool.map(_ways_of, range(len(episodes)), chunksize=8))
+    return found
 
 
 def _ways_of(number: int) -> list[Ways]:
