@@ -78,8 +78,9 @@ class TensorPlayers:
         return len(self._bank.floors)
 
     def warm_up(self, jobs: Sequence[Job]) -> None:
-        """Compiles a step, by playing some episodes."""
-        self.play(jobs)
+        """Compiles a step, where that is done, by playing some episodes."""
+        if self._compiles or self.device.type == "cuda":
+            self.play(jobs)
 
     def play(self, jobs: Sequence[Job]) -> Batch:
         """Plays some episodes, in their order, all at once."""
