@@ -34,7 +34,15 @@ def stay(benchmark: BenchmarkWorlds) -> np.ndarray:
 
 
 @pytest.mark.parametrize("action", ["nav", "pick"])
-@pytest.mark.parametrize("agents", ["robot", "human", "robot_robot", "human_robot"])
+@pytest.mark.parametrize(
+    "agents",
+    [
+        pytest.param("robot", marks=pytest.mark.slow),
+        pytest.param("human", marks=pytest.mark.slow),
+        pytest.param("robot_robot", marks=pytest.mark.slow),
+        "human_robot",
+    ],
+)
 def test_every_kind_of_cell_runs(agents: str, action: str) -> None:
     cell = Cell(agents=agents, action=action, worlds=2)  # type: ignore[arg-type]
     benchmark, rng = BenchmarkWorlds(cell), np.random.default_rng(1)
@@ -92,7 +100,7 @@ def test_resets_leave_nothing_behind() -> None:
 
     tracemalloc.start()
     try:
-        held = [play(25) for _ in range(5)]
+        held = [play(8) for _ in range(5)]
         assert min(after - before for before, after in pairwise(held)) < 10_000  # what leaks does so every time
     finally:
         tracemalloc.stop()

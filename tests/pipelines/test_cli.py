@@ -173,7 +173,7 @@ def test_a_camera_from_a_file(demo: Path, tmp_path: Path, capsys: pytest.Capture
 def test_same_seed_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (
         run_json(
-            capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "7", "--max-steps", "60",
+            capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "7", "--max-steps", "20",
             "-o", tmp_path / name,
         )
         for name in ("a", "b")
@@ -187,7 +187,7 @@ def test_same_seed_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[s
         a, b = (h3data.open(tmp_path / name).recording(i) for name in ("a", "b"))
         assert recordings_equal(a, b) == []
     other = run_json(
-        capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "8", "--max-steps", "60",
+        capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "8", "--max-steps", "20",
         "-o", tmp_path / "c",
     )  # fmt: skip
     assert not set(other["state_hashes"]) & set(first["state_hashes"])

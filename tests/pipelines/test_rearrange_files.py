@@ -146,6 +146,7 @@ def habitat_episode(folder: Path, sampled: RearrangeEpisode) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow  # quick: those below, in fewer steps
 def test_a_habitat_file_is_played_in_its_scene(
     folder: Path, sampled: RearrangeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -401,6 +402,7 @@ def test_partnr_episodes_are_played_where_they_ask_for_places(
     assert sum(shown["unplayable"].values()) == 2
 
 
+@pytest.mark.slow
 def test_episodes_of_one_file_may_differ_in_their_number_of_objects(
     folder: Path, sampled: RearrangeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -80,7 +80,7 @@ def test_data_is_exact_and_comes_with_its_cameras(
         assert sum(1 for _ in container.decode(video=0)) == 5
 
 
-@pytest.mark.parametrize("kind", ["mp4", "av1", "data", "png"])
+@pytest.mark.parametrize("kind", ["mp4", "data", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("av1", "png"))])
 def test_the_same_bytes_with_any_number_of_workers(
     kind: str, episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -182,7 +182,12 @@ main(sys.argv[1:])
 
 
 @pytest.mark.parametrize(
-    ("kind", "unfinished"), [("mp4", "rgb.mp4.part"), ("data", "depth.mkv.part"), ("png", "depth.part/")]
+    ("kind", "unfinished"),
+    [
+        pytest.param("mp4", "rgb.mp4.part", marks=pytest.mark.slow),
+        ("data", "depth.mkv.part"),
+        pytest.param("png", "depth.part/", marks=pytest.mark.slow),
+    ],
 )
 def test_a_full_disk_is_said_and_the_next_run_goes_on(
     kind: str, unfinished: str, episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

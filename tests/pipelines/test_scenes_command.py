@@ -483,6 +483,7 @@ def test_eye_level_camera_stands_on_free_floor(home: Scene) -> None:
         assert z0 - 0.01 < z < z1 + 0.01
 
 
+@pytest.mark.slow
 def test_episodes_of_an_export_lead_to_its_scenes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

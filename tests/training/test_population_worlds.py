@@ -107,7 +107,7 @@ class _Best(RecurrentChooser):
         return self.rows[-1][2]
 
 
-@pytest.mark.parametrize("without", [(), ("humanoid_gps", "primitives")])
+@pytest.mark.parametrize("without", [(), pytest.param(("humanoid_gps", "primitives"), marks=pytest.mark.slow)])
 def test_decisions_are_those_of_the_cpu(
     episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch, without: tuple[str, ...]
 ) -> None:
@@ -140,6 +140,7 @@ def test_decisions_are_those_of_the_cpu(
 
 
 # --- episodes -----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_every_episode_is_accounted_for(episodes: Sequence[RearrangeEpisode], short: None) -> None:
     settings = replace(SMALL, population="learn_single")
     networks = {name: network(name, settings=settings) for name in settings.learners}
@@ -161,6 +162,7 @@ def test_every_episode_is_accounted_for(episodes: Sequence[RearrangeEpisode], sh
             assert decisions.state[1:].any(1).all()
 
 
+@pytest.mark.slow
 def test_other_seeds_play_otherwise(episodes: Sequence[RearrangeEpisode], short: None) -> None:
     players, policy = TensorPlayers(episodes, "cpu"), network()
     chosen = [

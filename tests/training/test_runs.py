@@ -102,6 +102,7 @@ def test_an_interrupted_run_comes_to_the_same_weights(
         train(tmp_path, SMALL, bank=bank, resume=True)
 
 
+@pytest.mark.slow  # quick: those that see depth
 def test_a_run_that_sees_colours_resumes_exactly_and_plays(bank: EpisodeBank, tmp_path: Path) -> None:
     settings = small(observations=("arm_rgb", "humanoid_detector", "humanoid_gps"))
     whole, parts = tmp_path / "whole", tmp_path / "parts"
@@ -191,6 +192,7 @@ def test_a_second_stage_lets_the_critic_learn_first() -> None:
     assert all(schedule(first, 0.0, update).acts for update in (0, 1))
 
 
+@pytest.mark.slow
 def test_a_trained_policy_is_where_a_run_begins(whole: Path, bank: EpisodeBank, tmp_path: Path) -> None:
     policy = network_of(f"weights:{whole / POLICY}")
     assert isinstance(policy, PicturedNetwork)

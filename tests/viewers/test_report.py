@@ -314,6 +314,7 @@ def dispersed_study(*, task: str = "rearrange") -> list[Recording]:
     return episodes
 
 
+@pytest.mark.slow  # quick: tests/stats
 def test_no_p_value_of_an_unsound_model_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ds = write(tmp_path / "ds", dispersed_study())
     report = make_report([ds], pictures=0)
@@ -514,6 +515,7 @@ def test_the_command(runs: dict[str, Path], tmp_path: Path, capsys: pytest.Captu
     assert main(["report", str(runs["stand_still"]), "-o", str(tmp_path / "x.html"), "--pictures", "-1"]) == 2
 
 
+@pytest.mark.slow
 def test_replays_of_the_episodes_shown_lie_beside_the_report(
     runs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -348,7 +348,7 @@ def test_environments_say_what_they_are(options: dict[str, Any], words: str) -> 
     assert repr(env) == str(env) == words
 
 
-@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
+@pytest.mark.parametrize("task", ["social_nav", pytest.param("rearrange", marks=pytest.mark.slow)])
 def test_a_bar_tells_how_far_a_first_reset_is(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = [build_home(HomeSpec(preset="small", seed=seed)) for seed in (1, 2)]
 

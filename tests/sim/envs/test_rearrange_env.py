@@ -44,14 +44,16 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 
 # --- the checkers of others ---------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("options", [{}, {"level": "low"}, {"agent": "human"}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{}, pytest.param({"level": "low"}, marks=pytest.mark.slow), {"agent": "human"}], ids=str
+)
 def test_gymnasium_accepts_the_environment(options: dict[str, Any]) -> None:
     name, names = "h3data/Rearrange-v0", OF_PERSON if "agent" in options else OF_ROBOT
     env = gymnasium.make(name, scenes=HOME, observations=names, render_mode="rgb_array", **SIZES, **options)
     check_env(env.unwrapped)
 
 
-@pytest.mark.parametrize("level", ["high", "low"])
+@pytest.mark.parametrize("level", ["high", pytest.param("low", marks=pytest.mark.slow)])
 def test_pettingzoo_accepts_the_environment(level: str) -> None:
     names = dict.fromkeys((*OF_ROBOT, *OF_PERSON))
     parallel_api_test(make_env(HOME, agents=PAIR, level=level, observations=tuple(names), **SIZES), num_cycles=25)  # type: ignore[arg-type]

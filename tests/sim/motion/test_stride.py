@@ -243,7 +243,10 @@ def person_of(recording: Recording) -> tuple[Array, Array]:
     return np.hypot(*np.diff(base[:, [0, 2]], axis=0).T) / STEP_S, turned / STEP_S
 
 
-@pytest.mark.parametrize("task", ["social_nav", "rearrange", "wander"])
+@pytest.mark.parametrize(
+    "task",
+    ["social_nav", *(pytest.param(task, marks=pytest.mark.slow) for task in ("rearrange", "wander"))],
+)
 def test_episodes_with_strides_verify(task: str) -> None:
     recording = h3data.simulate(task, "small:1", seed=2, human_walk="natural", max_steps=900)
     speed, turn = person_of(recording)

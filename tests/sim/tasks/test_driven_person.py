@@ -129,6 +129,7 @@ def test_a_driven_episode_goes_on_from_the_middle_and_that_comes_out_again(whole
     assert verify(again).equal
 
 
+@pytest.mark.slow
 def test_robots_beside_the_track_of_a_driven_person(whole: Path) -> None:
     other = counterfactual(open_recording(whole), "complement", step=150)
     assert verify(other).equal
@@ -164,7 +165,7 @@ def playground() -> Session:
     return begun(max_steps=100_000)
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, suppress_health_check=list(HealthCheck))
 @given(command=commands, steps=st.integers(1, 12))
 def test_any_command_leaves_a_person_finite_and_out_of_obstacles(
     playground: Session, command: PersonCommand, steps: int
@@ -400,7 +401,7 @@ def test_a_person_hands_over_to_a_robot_that_is_near() -> None:
 
 
 # --- robots, other tasks ----------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("task", ["social_nav", "wander", "rearrange"])
+@pytest.mark.parametrize("task", [pytest.param("social_nav", marks=pytest.mark.slow), "wander", "rearrange"])
 def test_robots_and_people_are_driven_in_every_task(task: str) -> None:
     session = h3data.session(task, "small:1", agents={"person": External(), "robot": External()})
     rng = np.random.default_rng(1)

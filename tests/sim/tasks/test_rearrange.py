@@ -290,6 +290,7 @@ def test_populations_draw_all_their_members() -> None:
     assert {"complement", "same_object", "still"} <= set(ROBOT_POLICIES)
 
 
+@pytest.mark.slow
 def test_specialists_depend_on_their_partner(world: RearrangeEpisode) -> None:
     """As the paper's Plan-Pop 1: fine with who does the other object, lost with who does the same."""
     done = {

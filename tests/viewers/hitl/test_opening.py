@@ -108,6 +108,7 @@ def test_a_game_that_was_killed_while_a_drawer_opened_goes_on(tmp_path: Path):
     assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
 
 
+@pytest.mark.slow
 def test_a_played_robot_opens_and_takes(tmp_path: Path):
     game = opening(tmp_path, seats=("robot",), partner="solo").begin(GameOrder(index=0, name="000000"))
     player = Player(game)

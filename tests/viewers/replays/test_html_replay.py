@@ -223,6 +223,7 @@ def test_contacts_are_marked_and_listed(walk: Recording, tmp_path: Path) -> None
     assert np.allclose(about["contacts"][0]["point"], middle, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_long_recordings_keep_every_second_state(
     walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -248,6 +249,7 @@ def test_1500_steps_of_a_medium_home_take_less_than_3_mb(tmp_path: Path) -> None
     assert 900_000 < written.bytes < 1_500_000, "1.1 MB when this was written; the limit is 3"
 
 
+@pytest.mark.slow
 def test_large_homes_are_thinned(
     walk: Recording, walked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -312,6 +314,7 @@ def test_the_same_recording_gives_the_same_file(walk: Recording, walked: Path, t
 
 
 # --- refused ----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_existing_files_are_kept(walk: Recording, tmp_path: Path) -> None:
     (tmp_path / "e.html").write_text("mine")
     with pytest.raises(InputError, match="already exists"):
@@ -347,6 +350,7 @@ def test_view_writes_html_and_opens_it(
     assert opened == [out.resolve().as_uri()]
 
 
+@pytest.mark.slow
 def test_a_machine_without_a_browser_says_so(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
