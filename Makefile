@@ -31,8 +31,8 @@ warm: setup  ## kernels and tests compiled ahead, so that two processes of tests
 test: setup
 	$(PYTEST_2)
 
-test-all: setup  ## the slow ones too
-	$(PYTEST_2) -m "not gpu and not bench"
+test-all: setup  ## the slow ones too, and more examples of each law
+	HYPOTHESIS_PROFILE=full $(PYTEST_2) -m "not gpu and not bench"
 
 test-browser: setup  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
 	$(PYTEST) -m browser -rs

@@ -565,7 +565,7 @@ def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: 
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("ending", [".gfx_replay.json", ".gfx_replay.json.gz"])
+@pytest.mark.parametrize("ending", [pytest.param(".gfx_replay.json", marks=pytest.mark.slow), ".gfx_replay.json.gz"])
 def test_an_exported_replay_is_imported_with_its_own_assets(
     recording: Recording,
     tmp_path: Path,

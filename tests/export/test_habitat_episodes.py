@@ -37,7 +37,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
         episodes=2,
         policy="still",
         partner="both",
-        max_steps=600,
+        max_steps=60,
         human_walk="paper",
     )
     return out
@@ -103,6 +103,7 @@ def test_the_export_is_played_again(
         assert a.columns["state_hash"][-1] == b.columns["state_hash"][-1]
 
 
+@pytest.mark.slow
 def test_the_exported_scenes_are_played_where_the_home_cannot_be_built(
     played: Path, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

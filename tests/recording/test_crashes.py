@@ -93,7 +93,7 @@ def killed_after(code: str, out: Path, reports: int) -> int:
     return int(whole[-1]) if whole else reports
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_kill_9_at_any_moment_costs_a_log_at_most_one_second(tmp_path, seed):
     path = tmp_path / "a.mcap"
     reported = killed_after(RECORDS_FOR_EVER, path, random.Random(seed).randrange(1, 400))
@@ -113,7 +113,7 @@ def test_kill_9_at_any_moment_costs_a_log_at_most_one_second(tmp_path, seed):
     assert abs(len(back.events) - saved.steps / 7) <= 1 + FLUSH_ROWS / 7
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_kill_9_while_logs_are_closed_costs_nothing(tmp_path, seed):
     reported = killed_after(CLOSES_FOR_EVER, tmp_path / "a", random.Random(seed).randrange(1, 30))
     named = list(tmp_path.glob("a*.mcap"))
@@ -124,7 +124,7 @@ def test_kill_9_while_logs_are_closed_costs_nothing(tmp_path, seed):
         assert part.with_suffix("") not in named, "a log has one name"
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_kill_9_at_any_moment_costs_a_dataset_its_unfinished_file(tmp_path, seed):
     root = tmp_path / "ds"
     reported = killed_after(ADDS_FOR_EVER, root, random.Random(seed).randrange(2, 25))
@@ -313,7 +313,7 @@ def closed_log(path: Path, *, loops: bool) -> tuple[Recording, bytes, int]:
     return rec, data, data.index(scene) + len(scene)
 
 
-@pytest.mark.parametrize("loops", [False, True])
+@pytest.mark.parametrize("loops", [False, pytest.param(True, marks=pytest.mark.slow)])
 @settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0, 1))
 def test_a_closed_log_that_is_cut_loses_only_what_was_cut_off(tmp_path, loops, share):

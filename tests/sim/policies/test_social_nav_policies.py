@@ -193,7 +193,10 @@ def test_the_foreseen_track_is_the_track(home: Scene, free: FreeSpace) -> None:
     np.testing.assert_array_equal([seen[k][1] for k in range(40)], plan_of(world).xz)
 
 
-@pytest.mark.parametrize("policy", ["rollout_expert", "sampling_expert", "future_oracle"])
+@pytest.mark.parametrize(
+    "policy",
+    ["rollout_expert", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sampling_expert", "future_oracle"))],
+)
 def test_experts_find_follow_and_keep_clear(policy: str, home: Scene, free: FreeSpace) -> None:
     spec = SocialNavSpec(max_steps=400)
     worlds = [social_nav_episode(home, seed=seed, spec=spec, free=free) for seed in range(2)]
