@@ -80,7 +80,9 @@ def test_data_is_exact_and_comes_with_its_cameras(
         assert sum(1 for _ in container.decode(video=0)) == 5
 
 
-@pytest.mark.parametrize("kind", ["mp4", "data", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("av1", "png"))])
+@pytest.mark.parametrize(
+    "kind", ["mp4", "data", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("av1", "png"))]
+)
 def test_the_same_bytes_with_any_number_of_workers(
     kind: str, episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -376,6 +376,7 @@ def test_several_scenes_layers_and_views_of_one_world(make):
     assert not (got["instance"][2] == 1).any()
 
 
+@pytest.mark.slow
 def test_pictures_repeat_whatever_the_tile(make):
     scene, _ = home_with_person("small")
     cameras = eight_views(scene)[:2]

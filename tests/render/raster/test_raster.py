@@ -134,7 +134,7 @@ def random_view(rng: np.random.Generator, projection: Projection) -> Camera:
     return dataclasses.replace(camera, near=near, far=far)
 
 
-@pytest.mark.parametrize("projection", ["orthographic", "perspective"])
+@pytest.mark.parametrize("projection", ["orthographic", pytest.param("perspective", marks=pytest.mark.slow)])
 def test_orthographic_and_clipped_soups_equal_the_ray_caster(projection):
     rng = np.random.default_rng(3)
     checked = total = 0

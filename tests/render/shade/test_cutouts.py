@@ -113,7 +113,7 @@ def random_mesh(rng: np.random.Generator) -> Mesh:
     )
 
 
-@pytest.mark.parametrize("backend", ["cpu", "rays"])
+@pytest.mark.parametrize("backend", ["cpu", pytest.param("rays", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_random_soups_equal_the_reference(projection, backend):
     if backend == "rays":

@@ -16,7 +16,7 @@ from h3data.scene.passages import outlines, passable, passages
 SEEDS = (0, 1, 2, 4)
 
 
-@pytest.fixture(scope="module", params=SEEDS)
+@pytest.fixture(scope="module", params=[0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in SEEDS if seed)])
 def home(request: pytest.FixtureRequest) -> Scene:
     return build_home(HomeSpec(seed=request.param, generation=2, doors=True))
 
@@ -72,6 +72,7 @@ def test_leaves_meet_nothing_on_their_way(home: Scene) -> None:
             assert shut.obstacle(k, opens=opens) == ""
 
 
+@pytest.mark.slow
 def test_homes_differ_in_what_is_closed_and_in_how_leaves_move() -> None:
     kinds, closed = set(), []
     for seed in range(8):

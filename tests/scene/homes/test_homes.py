@@ -33,6 +33,8 @@ SPECS = [
     *(HomeSpec(seed=s, preset="medium") for s in (0, 2, 6)),
     HomeSpec(seed=2, preset="large"),
 ]
+QUICK = [SPECS[0], SPECS[3], SPECS[6]]
+"""One of each preset."""
 
 
 @cache
@@ -43,7 +45,11 @@ def home(spec: HomeSpec) -> Scene:
 STRUCTURE = {name for name, number in CATEGORIES.items() if number < 10} | {"blind"}
 """Built in world coordinates, so that their pose says nothing."""
 
-homes = pytest.mark.parametrize("spec", SPECS, ids=lambda s: f"{s.preset}-{s.seed}")
+homes = pytest.mark.parametrize(
+    "spec",
+    [s if s in QUICK else pytest.param(s, marks=pytest.mark.slow) for s in SPECS],
+    ids=lambda s: f"{s.preset}-{s.seed}",
+)
 
 
 # --- repeatable -------------------------------------------------------------------------------------------------------
@@ -56,7 +62,7 @@ def test_same_spec_same_bytes_in_another_process_with_other_hash_seed():
 
 
 def test_seeds_and_presets_give_different_homes():
-    assert len({scene_digest(home(spec)) for spec in SPECS}) == len(SPECS)
+    assert len({scene_digest(home(spec)) for spec in QUICK}) == len(QUICK)
 
 
 def test_stages_are_keyed_independently():
@@ -271,7 +277,9 @@ MANY = [
 
 
 @pytest.mark.parametrize(
-    "spec", [*SPECS, *(pytest.param(s, marks=pytest.mark.slow) for s in MANY)], ids=lambda s: f"{s.preset}-{s.seed}"
+    "spec",
+    [*QUICK, *(pytest.param(s, marks=pytest.mark.slow) for s in (*SPECS, *MANY) if s not in QUICK)],
+    ids=lambda s: f"{s.preset}-{s.seed}",
 )
 def test_no_passage_is_open_for_one_radius_and_shut_for_the_other(spec: HomeSpec):
     """Gaps of 2 r - 5 cm to 2 r + 10 cm, r = 0.25, are avoided: both discs find the same islands and loops, and hardly

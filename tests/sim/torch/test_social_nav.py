@@ -60,9 +60,7 @@ def chase(gps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 # --- against the batch --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    "rules", [RULES, pytest.param(STRIDES, marks=pytest.mark.slow)], ids=["paper", "natural"]
-)
+@pytest.mark.parametrize("rules", [RULES, pytest.param(STRIDES, marks=pytest.mark.slow)], ids=["paper", "natural"])
 def test_the_same_actions_give_the_episodes_of_the_batch(rules: Any) -> None:
     worlds, rng = 8, np.random.default_rng(1)
     bank = EpisodeBank.draw(HOMES, 6, seed=SEED, spec=rules)
