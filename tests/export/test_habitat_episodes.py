@@ -37,7 +37,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
         episodes=2,
         policy="still",
         partner="both",
-        max_steps=60,
+        max_steps=600,
         human_walk="paper",
     )
     return out

@@ -18,7 +18,6 @@ from h3data_viewers.html_report.report import make_report
 from sim_kinematic.policies import rearrange as planners
 
 GENERATE = ("generate", "rearrange", "--scenes", "small", "--homes", "1", "--max-steps", "700", "--json", "-o")
-BRIEF = (*GENERATE[:7], "60", *GENERATE[8:-1])
 EVALUATE = (
     "evaluate", "rearrange", "--scenes", "h3-homes/test#2", "--episodes", "1", "--policies", "complement,still",
     "--partners", "object_1,plan_pop_1", "--json", "-o",
@@ -49,7 +48,7 @@ def test_generate_resumes_with_the_same_episodes(tmp_path: Path, capsys: pytest.
 def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    args = (*BRIEF, "--human-walk", "paper", "--policy", "still", "--partner", "still", "--episodes", "2", "-o")
+    args = (*GENERATE[:-1], "--human-walk", "paper", "--policy", "still", "--partner", "still", "--episodes", "2", "-o")
     made = []
 
     def first_breaks(*_: object) -> planners.HighLevelPolicy:
@@ -64,7 +63,7 @@ def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
     assert "RuntimeError: boom" in result["failed"][0]
     assert "seed" in result["failed"][0]
     broken, fine = (h3data.open(tmp_path / "broken").recording(k) for k in range(2))
-    assert len(fine) == 60
+    assert len(fine) == 700
     assert len(broken) == 0
     assert "boom" in broken.episode.info["failed"]
 
@@ -91,8 +90,9 @@ def test_bad_options_are_refused(
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 def test_two_people_are_resumed_only_as_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    args = ("generate", "rearrange", "--scenes", "small:1", "--max-steps", "60", "--json", "-o", tmp_path / "ds")
+    args = ("generate", "rearrange", "--scenes", "h3-homes/test#2", "--json", "-o", tmp_path / "ds")
     made = run_json(capsys, *args, "--episodes", "1", "--agents", "human,male_1")
     assert (made["episodes"], made["failed"]) == (1, [])
     recording = h3data.open(tmp_path / "ds").recording(0)
@@ -210,11 +210,11 @@ def test_datasets_of_one_policy_are_one_row(tmp_path: Path, capsys: pytest.Captu
 def test_oracle_skills_are_played_as_worlds_on_a_device_play_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    args = ("--scenes", "small:1", "--episodes", "1", "--skills", "oracle", "--max-steps", "60", "--json", "-o")
+    args = ("--scenes", "small:1", "--episodes", "1", "--skills", "oracle", "--max-steps", "700", "--json", "-o")
     run_json(capsys, "generate", "rearrange", *args, tmp_path / "ds")
     spec = h3data.open(tmp_path / "ds").recording(0).episode.info["spec"]
     assert spec["oracle"]
-    assert (spec["people_give_way"], spec["human"]["speed_mps"], spec["max_steps"]) == (False, 2.5, 60)
+    assert (spec["people_give_way"], spec["human"]["speed_mps"], spec["max_steps"]) == (False, 2.5, 700)
     table = run_json(
         capsys, "evaluate", "rearrange", "--policies", "still", "--partners", "still", *args, tmp_path / "e"
     )

@@ -167,7 +167,6 @@ def test_walk_pose_is_the_clip_at_its_speed() -> None:
         body.walk_pose([-1.0], [0.0])
 
 
-@settings(derandomize=True, max_examples=40, deadline=None)
 @given(
     st.sampled_from(BODIES), st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.integers(0, 5), st.floats(0.15, 0.25)
 )

@@ -379,7 +379,8 @@ def test_not_ranking_those_who_are_clear_of_each_other_changes_nothing(
     really = RightOfWay._all_are_clear
     for looks in (lambda right_of_way: clear.append(really(right_of_way)) or clear[-1], lambda right_of_way: False):
         monkeypatch.setattr(RightOfWay, "_all_are_clear", looks)
-        episode = rearrange_episode(home, seed=4, free=free, agents=agents, spec=RearrangeSpec(max_steps=400))
+        episode = rearrange_episode(home, seed=4, free=free, agents=agents)
+        episode = replace(episode, spec=replace(episode.spec, max_steps=400))
         hashes.append(simulate_rearrange(episode, solo_steps=1).columns["state_hash"])
     np.testing.assert_array_equal(*hashes)
     assert 0 < sum(clear) < len(clear)

@@ -342,7 +342,7 @@ def test_the_commands_take_choosers(
     tmp_path: Path, task_world: RearrangeEpisode, capsys: pytest.CaptureFixture[str]
 ) -> None:
     save_network(copied_chooser(task_world), tmp_path / "c.npz")
-    common = ["rearrange", "--scenes", "small:1", "--episodes", "1", "--max-steps", "60"]
+    common = ["rearrange", "--scenes", "small:1", "--episodes", "1", "--max-steps", "700"]
     policy = f"weights:{tmp_path / 'c.npz'}"
     args = ["evaluate", *common, "--policies", f"still,{policy}", "--partners", "still", "-o", str(tmp_path / "out")]
     assert main(args) == 0

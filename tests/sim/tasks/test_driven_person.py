@@ -162,7 +162,7 @@ commands = st.builds(
 
 @pytest.fixture(scope="module")
 def playground() -> Session:
-    return begun(max_steps=100_000)
+    return begun(max_steps=2000)
 
 
 @settings(deadline=None, suppress_health_check=list(HealthCheck))
