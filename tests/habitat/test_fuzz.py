@@ -325,9 +325,11 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "tracks that fill the memory": ("x.gfx_replay.json", lambda: b'{"keyframes":[' + b"{}," * 30_000 + text({"creations": [
         {"instanceKey": k, "creation": {"filepath": "a"}} for k in range(900)]}) + b"]}", "more than can be read"),
 }  # fmt: skip
+HEAVY = ("a keyframe without end", "gzip bomb of a log")
+"""Cases that take more than a second."""
 
 
-@pytest.mark.parametrize("case", HOSTILE)
+@pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.slow) if c in HEAVY else c for c in HOSTILE])
 def test_hostile_files_leave_nothing_behind(
     tmp_path: Path, case: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -87,6 +87,7 @@ def test_the_arm_sees_one_picture_of_each_world() -> None:
         BenchmarkWorlds(Cell(agents="human", pictures="arm"))
 
 
+@pytest.mark.slow
 def test_resets_leave_nothing_behind() -> None:
     benchmark, rng = BenchmarkWorlds(Cell(worlds=2)), np.random.default_rng(1)
 

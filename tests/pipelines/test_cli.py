@@ -151,6 +151,7 @@ def test_an_episode_of_a_dataset_can_be_drawn_and_viewed(
     assert len(h3data.open(demo / "dataset")[-1]) == 24
 
 
+@pytest.mark.slow  # quick: test_rerender, the same bytes
 def test_depth_videos_are_the_same_every_time(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     episode, files = demo / "episode.mcap", []
     for name in ("a", "b", "c"):

@@ -334,6 +334,7 @@ def test_pictures_are_complete_and_of_one_run(tmp_path: Path, capsys: pytest.Cap
     assert run_json(capsys, *options, "999:", code=2)
 
 
+@pytest.mark.slow
 def test_cameras_wait_where_their_agent_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A robot that comes late and a person who leaves early."""
     frames: list[dict[str, Any]] = [{"creations": [], "stateUpdates": []} for _ in range(12)]

@@ -250,6 +250,7 @@ def test_what_stands_in_the_way_is_said(
     assert 'pip install "h3data[hub]"' in pull_error()
 
 
+@pytest.mark.slow
 def test_addresses_name_datasets_too(dataset: Dataset, hub: Hub, tmp_path: Path) -> None:
     h3data.push(copied(dataset, tmp_path / "ds"), f"https://huggingface.co/datasets/{REPO}")
     assert len(Dataset(h3data.pull(f"hf://datasets/{REPO}", tmp_path / "back"))) == 2

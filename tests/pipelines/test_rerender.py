@@ -81,7 +81,7 @@ def test_data_is_exact_and_comes_with_its_cameras(
 
 
 @pytest.mark.parametrize(
-    "kind", ["mp4", "data", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("av1", "png"))]
+    "kind", ["data", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("mp4", "av1", "png"))]
 )
 def test_the_same_bytes_with_any_number_of_workers(
     kind: str, episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

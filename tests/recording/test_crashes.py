@@ -36,6 +36,7 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.recording.mcap.scan import scan_records
+from tests.examples import examples
 from tests.paths import ROOT
 from tests.recording.strategies import simple_recording
 
@@ -270,7 +271,7 @@ def check_log(path: Path) -> int:
     return saved.steps
 
 
-@pytest.mark.parametrize("stride", [7, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [17, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_records_of_a_log_cut_at_every_byte(tmp_path, stride):
     data = small_log(tmp_path / "sound.mcap")
     counts = [0]
@@ -287,7 +288,7 @@ def test_the_records_of_a_log_cut_at_every_byte(tmp_path, stride):
         assert scan_records(bytes(damaged)).fault is not None, at
 
 
-@pytest.mark.parametrize("stride", [53, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [107, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_log_cut_at_every_byte(tmp_path, stride):
     data, path, saved = small_log(tmp_path / "sound.mcap"), tmp_path / "cut.mcap", [0]
     for cut in range(0, len(data), stride):
@@ -314,7 +315,12 @@ def closed_log(path: Path, *, loops: bool) -> tuple[Recording, bytes, int]:
 
 
 @pytest.mark.parametrize("loops", [False, pytest.param(True, marks=pytest.mark.slow)])
-@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(15),
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(share=st.floats(0, 1))
 def test_a_closed_log_that_is_cut_loses_only_what_was_cut_off(tmp_path, loops, share):
     """However it was cut behind the scene, all chunks before the cut are saved: 10 s of the episode at most are lost."""
@@ -347,7 +353,7 @@ def validate_skills(rec: Recording) -> list[SkillSpan]:
     return [span for span in rec.skills if not 0 <= span.start_step <= span.end_step < len(rec)]
 
 
-@pytest.mark.parametrize("stride", [53, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [107, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_log_with_a_flipped_bit_in_every_byte(tmp_path, stride):
     data, path = small_log(tmp_path / "sound.mcap"), tmp_path / "flipped.mcap"
     for at in range(0, len(data), stride):

@@ -36,7 +36,7 @@ def s3() -> Iterator[str]:
         yield uri
 
 
-@pytest.fixture(params=["mock", "s3"])
+@pytest.fixture(params=["mock", pytest.param("s3", marks=pytest.mark.slow)])
 def store(request: pytest.FixtureRequest) -> str:
     """A fresh folder in memory or in the bucket."""
     name = request.node.name.replace("[", "_").strip("]")
@@ -238,6 +238,7 @@ def test_recordings_at_a_uri_are_shown_simulated_again_and_replaced(
     assert (Path(made["recordings"][0]["files"][0]) / "000001.png").is_file()
 
 
+@pytest.mark.slow
 def test_a_bucket_without_the_right_to_write(s3: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with DatasetWriter(f"{s3}/others") as out:
         out.add(EPISODES[0])

@@ -137,6 +137,7 @@ def test_other_settings_and_damaged_checkpoints_are_refused(whole: Path, bank: E
             train(tmp_path, SMALL, bank=bank, resume=True)
 
 
+@pytest.mark.slow
 def test_a_full_disk_loses_no_checkpoint(bank: EpisodeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save = torch.save
 
@@ -152,6 +153,7 @@ def test_a_full_disk_loses_no_checkpoint(bank: EpisodeBank, tmp_path: Path, monk
     assert not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_minutes_end_a_run(bank: EpisodeBank, tmp_path: Path) -> None:
     settings = small(updates=0, minutes=0.2)  # 12 s, of which 10 are spare; where the set-up takes longer, one update
     result = train(tmp_path, settings, bank=bank)

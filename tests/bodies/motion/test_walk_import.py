@@ -196,6 +196,7 @@ def test_generate_gives_everybody_the_walk(walk_file: Path, tmp_path: Path) -> N
         h3data.generate("wander", tmp_path / "robots", agents="robot,robot", motion=walk_file)
 
 
+@pytest.mark.slow
 def test_evaluations_take_the_walk(walk_file: Path, tmp_path: Path) -> None:
     options = {"scenes": "small", "episodes": 1, "max_steps": 30, "motion": walk_file, "keep": True}
     done = h3data.evaluate("social_nav", tmp_path / "e", policies="stand_still", **options)

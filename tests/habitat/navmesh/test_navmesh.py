@@ -354,6 +354,7 @@ def test_version_1_takes_the_agent_from_the_tile(good, tmp_path):
     assert navmesh.area_m2 == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_too_large_a_mesh_or_grid_is_refused(tmp_path):
     wide = mesh_of([rect(0, 0, 5000, 5000)])
     with pytest.raises(InputError, match="larger cell_m"):

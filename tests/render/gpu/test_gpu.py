@@ -254,7 +254,7 @@ def test_baked_light_looks_as_on_the_cpu(make, monkeypatch):
     assert np.ptp(got["rgb"].astype(int)) > 60  # light and shade
 
 
-@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("samples", [1, pytest.param(4, marks=pytest.mark.slow)])
 def test_glossy_floors_look_as_on_the_cpu(make, samples):
     meshes = [textured(room(), 1), ball()]
     instances = [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.5, 0))]
@@ -267,7 +267,7 @@ def test_glossy_floors_look_as_on_the_cpu(make, samples):
         np.testing.assert_array_equal(got[name], plain[name])
 
 
-@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("samples", [1, pytest.param(4, marks=pytest.mark.slow)])
 def test_soft_shadows_and_tints_look_as_on_the_cpu(make, samples):
     rng = np.random.default_rng(5)
     scene = RenderScene(

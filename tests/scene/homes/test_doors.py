@@ -84,6 +84,7 @@ def test_homes_differ_in_what_is_closed_and_in_how_leaves_move() -> None:
     assert 0.15 < np.mean(closed) < 0.7
 
 
+@pytest.mark.slow
 def test_both_storeys_have_doors() -> None:
     home = build_home(HomeSpec(seed=1, generation=2, doors=True, storeys=2))
     names = {joints_of(home).names[k].startswith("upper_") for k in leaves(home)}

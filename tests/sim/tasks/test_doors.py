@@ -81,6 +81,7 @@ def test_validation_tells_of_who_goes_through_a_closed_door(recording: Recording
     assert {one.text.split()[4].rstrip(",") for one in found} <= opened
 
 
+@pytest.mark.slow  # quick: the same of a drawer
 def test_it_verifies_and_continues_while_a_door_moves(recording: Recording) -> None:
     assert verify(recording).difference is None
     moving = int(np.argmax((np.diff(recording.columns["scene.joint_pos"], axis=0) != 0).any(1))) + 10

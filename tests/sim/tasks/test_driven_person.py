@@ -374,6 +374,7 @@ def test_interrupted_skills_come_out_again() -> None:
     assert verify(recording).equal
 
 
+@pytest.mark.slow
 def test_a_person_hands_over_to_a_robot_that_is_near() -> None:
     session = begun(External(), end_on_collision=False)
     picked_up(session)
@@ -401,7 +402,9 @@ def test_a_person_hands_over_to_a_robot_that_is_near() -> None:
 
 
 # --- robots, other tasks ----------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("task", [pytest.param("social_nav", marks=pytest.mark.slow), "wander", "rearrange"])
+@pytest.mark.parametrize(
+    "task", ["wander", *(pytest.param(task, marks=pytest.mark.slow) for task in ("social_nav", "rearrange"))]
+)
 def test_robots_and_people_are_driven_in_every_task(task: str) -> None:
     session = h3data.session(task, "small:1", agents={"person": External(), "robot": External()})
     rng = np.random.default_rng(1)

@@ -40,6 +40,7 @@ def test_rules_say_whether_people_give_way() -> None:
         assert rules_from_json(rules_to_json(spec)) == spec
 
 
+@pytest.mark.slow
 def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSpace) -> None:
     for spec, heeds in ((RearrangeSpec(), True), (HABITAT, False)):
         episode = rearrange_episode(home, seed=1, spec=spec, free=free)
@@ -82,6 +83,7 @@ def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeS
     assert np.abs(np.diff(speeds)).max() < 0.15
 
 
+@pytest.mark.slow
 def test_a_person_who_is_done_leaves_the_doorway(tmp_path: Path) -> None:
     """The person stood in the bathroom's doorway for 300 steps before the robot that carried the last thing."""
     h3data.generate(

@@ -223,6 +223,7 @@ def test_what_a_crash_left_can_be_continued(episode: Recording) -> None:
         require_same(resume(part, rows), episode)
 
 
+@pytest.mark.slow
 def test_nothing_follows_steps_that_do_not_come_out_again(episode: Recording, wandering: Recording) -> None:
     for recording in (episode, wandering):
         broken = changed(recording, "agent_0.base_pose", 10, 0.0)

@@ -149,6 +149,7 @@ def robot_discs(game: LiveGame) -> tuple[tuple[float, ...], float]:
     return base.disc_offsets_m, base.disc_radius_m
 
 
+@pytest.mark.slow
 def test_a_game_goes_on_from_its_unfinished_log(tmp_path: Path):
     player = Player(table(tmp_path).begin(GameOrder(index=0, name="000000")))
     player.send(k="move", f=1.0, t=0.2)
@@ -356,6 +357,7 @@ def test_an_app_of_ones_own(tmp_path: Path):
     assert verify(recording).difference is None
 
 
+@pytest.mark.slow
 def test_a_rehearsal_compiles_what_a_game_needs(tmp_path: Path):
     for changes in ({}, {"app": "social_nav", "partner": None}, {"seats": ("robot",), "partner": "both"}):
         rehearse(table(tmp_path, **changes))

@@ -45,6 +45,7 @@ def joints_told(player: Player, *, whole: bool) -> dict[int, float]:
     return dict(struct.iter_unpack("<Hf", data[at:]))
 
 
+@pytest.mark.slow  # quick: what cannot be opened; tasks/test_opening.py
 def test_a_drawer_is_opened_emptied_and_closed_and_the_recording_verifies(tmp_path: Path):
     game = opening(tmp_path).begin(GameOrder(index=0, name="000000"))
     player, still = Player(game), 0
@@ -140,6 +141,7 @@ def test_what_cannot_be_opened(tmp_path: Path):
         plain.send(k="open", j=0)
 
 
+@pytest.mark.slow
 def test_the_page_learns_of_joints_only_where_they_move(tmp_path: Path):
     def manifest(**changes: object) -> dict[str, object]:
         game = LiveGame(opening(tmp_path, **changes), 0)

@@ -38,6 +38,7 @@ def other_storey(game: LiveGame, xz: np.ndarray) -> list[float]:
 
 
 # the robot is as long as it is: where it cannot turn on the spot, it is led nowhere, on any floor; there it stands well
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seat", "episode", "near_m"), [("person", 0, 0.05), pytest.param("robot", 2, 0.4, marks=pytest.mark.slow)]
 )

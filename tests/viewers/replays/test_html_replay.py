@@ -201,6 +201,7 @@ def _motions(joints: list[dict[str, Any]], positions: np.ndarray) -> list[np.nda
     return out
 
 
+@pytest.mark.slow
 def test_what_is_absent_is_absent(tidied: Recording, tmp_path: Path) -> None:
     poses, base = tidied.columns["object_pose"].copy(), tidied.columns["agent_0.base_pose"].copy()
     poses[5:9, 0], base[:4] = np.nan, np.nan
@@ -212,6 +213,7 @@ def test_what_is_absent_is_absent(tidied: Recording, tmp_path: Path) -> None:
     assert np.flatnonzero(np.isnan(found["agent_0.base"]).all(1)).tolist() == [0, 1, 2, 3]
 
 
+@pytest.mark.slow
 def test_contacts_are_marked_and_listed(walk: Recording, tmp_path: Path) -> None:
     touch = np.zeros(len(walk), np.bool_)
     touch[20:23] = touch[40] = True
@@ -309,6 +311,7 @@ def test_no_recorded_string_becomes_markup(hostile: Recording, tmp_path: Path) -
     assert about["stage"]["agents"][0]["name"].endswith(HOSTILE)
 
 
+@pytest.mark.slow
 def test_the_same_recording_gives_the_same_file(walk: Recording, walked: Path, tmp_path: Path) -> None:
     assert write_html(walk, tmp_path / "again.html").path.read_bytes() == walked.read_bytes()
 

@@ -75,6 +75,7 @@ def test_the_report_has_the_papers_table_and_the_questionnaires(study: Path, tmp
     assert NOTHING["text"] in (tmp_path / "all" / "answers.csv").read_text().replace('""', '"')
 
 
+@pytest.mark.slow
 def test_episodes_that_came_late_are_left_out_and_counted(study: Path, tmp_path: Path) -> None:
     path = copied(study, tmp_path / "late")
     db = sqlite3.connect(tmp_path / "late" / "tiny-1" / "study.sqlite")
