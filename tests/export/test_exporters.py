@@ -505,7 +505,10 @@ def log(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("to", TARGETS)
+@pytest.mark.parametrize(
+    "to",
+    [pytest.param(to, marks=pytest.mark.slow) if to in ("gfx-replay", "gltf", "foxglove") else to for to in TARGETS],
+)
 def test_the_command_writes_once_and_again_only_by_force(
     to: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -45,7 +45,13 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 # --- the checkers of others ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    "options", [{}, pytest.param({"level": "low"}, marks=pytest.mark.slow), {"agent": "human"}], ids=str
+    "options",
+    [
+        {},
+        pytest.param({"level": "low"}, marks=pytest.mark.slow),
+        pytest.param({"agent": "human"}, marks=pytest.mark.slow),
+    ],
+    ids=str,
 )
 def test_gymnasium_accepts_the_environment(options: dict[str, Any]) -> None:
     name, names = "h3data/Rearrange-v0", OF_PERSON if "agent" in options else OF_ROBOT

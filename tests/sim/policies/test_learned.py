@@ -338,6 +338,7 @@ def test_choosers_that_do_not_fit_are_refused(tmp_path: Path, task_world: Rearra
         robot_policy(f"weights:{tmp_path / 'robot.npz'}", objects=4)
 
 
+@pytest.mark.slow
 def test_the_commands_take_choosers(
     tmp_path: Path, task_world: RearrangeEpisode, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -149,6 +149,7 @@ def count_spans(pair: Pair) -> Counter[str]:
 
 
 # --- against the CPU ----------------------------------------------------------------------------------------------------
+@pytest.mark.slow  # quick: what agents are shown; training/test_population_worlds.py
 def test_the_same_choices_give_the_episodes_of_the_cpu(episodes: list[RearrangeEpisode]) -> None:
     pair, rng = Pair(episodes, outside=KINDS), np.random.default_rng(1)
     while not all(turns.over for turns in pair.turns):
