@@ -165,6 +165,7 @@ def test_equal_recordings_make_equal_files(tmp_path: Path, monkeypatch, recordin
         assert all(np.allclose(found[name], expected[name], atol=ATOL) for name in expected)
 
 
+@pytest.mark.slow
 def test_an_independent_reader_understands_it(tmp_path: Path, recording: Recording) -> None:
     chunk = pytest.importorskip("rerun.chunk")
     view = FoxgloveCamera(camera=pinhole(64, 48, hfov_deg=80, name="still"), poses=np.eye(4)[None])

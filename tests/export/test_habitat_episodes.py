@@ -63,11 +63,8 @@ def test_the_file_is_what_habitat_lab_reads(played: Path, exported: Path) -> Non
         assert {i.motion for i in scene.instances} == {
             "static"
         }  # what moves is an object of the episode, and only that
-        moving = [
-            b
-            for b in recording.bodies
-            if b.name in {i.name for i in recording_scene(recording) if i.motion == "kinematic"}
-        ]
+        movable = {i.name for i in recording_scene(recording) if i.motion == "kinematic"}
+        moving = [b for b in recording.bodies if b.name in movable]
         assert len(episode.rigid_objects) == len(moving) > 10
         for thing in episode.rigid_objects:
             assert (exported / "objects" / thing.config).is_file()

@@ -128,6 +128,7 @@ def test_rerender_view_and_metrics(demo: Path, tmp_path: Path, capsys: pytest.Ca
     assert data["bytes"] > 10_000
 
 
+@pytest.mark.slow
 def test_an_episode_of_a_dataset_can_be_drawn_and_viewed(
     demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -86,6 +86,7 @@ def test_output_that_cannot_be_written() -> None:
     assert done.returncode == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [[], pytest.param(["--help"], marks=pytest.mark.slow)])
 def test_nobody_reads_on(more: list[str]) -> None:
     """The other end of a pipe is closed, as by ``head``."""

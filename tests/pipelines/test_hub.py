@@ -198,6 +198,7 @@ def test_an_interrupted_pull_goes_on(dataset: Dataset, hub: Hub, tmp_path: Path)
     assert len(Dataset(out)) == 2
 
 
+@pytest.mark.slow
 def test_damage_on_the_way_is_noticed(dataset: Dataset, hub: Hub, tmp_path: Path) -> None:
     h3data.push(copied(dataset, tmp_path / "ds"), REPO)
     repo = hub.repos[REPO]

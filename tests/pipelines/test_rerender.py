@@ -121,6 +121,7 @@ def test_what_is_complete_is_kept(episode: Path, tmp_path: Path, capsys: pytest.
     assert len(json.loads(Path(first["cameras"]).read_text())["cameras"]["near"]["steps"]) == 7
 
 
+@pytest.mark.slow
 def test_pictures_of_another_size_with_smooth_edges(
     episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

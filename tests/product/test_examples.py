@@ -43,6 +43,7 @@ def test_vector_env(capsys: pytest.CaptureFixture[str]) -> None:
     assert "% of the worlds found the person" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_environment_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["x", str(tmp_path / "p.jpg"), "small:1"])
     runpy.run_path(str(EXAMPLES / "environment_pictures.py"))

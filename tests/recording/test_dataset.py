@@ -304,6 +304,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.slow  # quick: test_crashes.py
 def test_kill_9_loses_only_the_unfinished_file(tmp_path):
     root = tmp_path / "ds"
     code = KILLED.format(repo=str(ROOT), root=str(root))

@@ -202,6 +202,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow  # a bucket takes seconds to start; quick: the same in memory
 def test_commands_take_uris(s3: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     generate = ("generate", "social_nav", *OPTIONS, "--episodes", 1, "--mcap", "-o")
     local, uri = run(capsys, *generate, tmp_path / "ds"), f"{s3}/made"

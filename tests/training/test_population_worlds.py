@@ -107,6 +107,7 @@ class _Best(RecurrentChooser):
         return self.rows[-1][2]
 
 
+@pytest.mark.slow  # quick: sim/torch/test_rearrange.py
 @pytest.mark.parametrize("without", [(), pytest.param(("humanoid_gps", "primitives"), marks=pytest.mark.slow)])
 def test_decisions_are_those_of_the_cpu(
     episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch, without: tuple[str, ...]

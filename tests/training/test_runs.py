@@ -77,6 +77,7 @@ def test_tensorboard_reads_the_curve(whole: Path) -> None:
     assert np.allclose([event.value for event in events.Scalars("reward")], [row["reward"] for row in curve])
 
 
+@pytest.mark.slow  # quick: the same of populations and skills
 def test_an_interrupted_run_comes_to_the_same_weights(
     whole: Path, bank: EpisodeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

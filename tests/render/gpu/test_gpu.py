@@ -304,6 +304,7 @@ def test_textures_and_smooth_edges(make):
     compare(make, GpuScene(scene), ROOM_VIEWS, samples=4)
 
 
+@pytest.mark.slow
 def test_what_is_clear_is_cut_out(make):
     """Leaves that stand still, move and bend; the same words as on the CPU wherever a texture is not just half opaque."""
 

@@ -202,6 +202,7 @@ def test_a_read_only_cache_is_read_and_not_written(tmp_path, monkeypatch):
         (tmp_path / "freespace").chmod(0o755)
 
 
+@pytest.mark.slow
 def test_processes_that_build_the_same_scene_do_not_disturb_each_other(tmp_path):
     """Both miss the cache, both build, both write; the file is whole at every moment, and nothing else is left."""
     script = (

@@ -190,6 +190,7 @@ def test_doors_are_wide_and_follow_the_rules(spec: HomeSpec):
     assert {r.name for r in layout.rooms if r.category in ("living", "bedroom")} <= lit
 
 
+@pytest.mark.slow
 def test_footprints_of_medium_and_large_homes_vary_and_have_notches_of_15_to_30_percent():
     layouts = [plan_layout(HomeSpec(seed=s, preset=p)) for p, seeds in FOOTPRINTS.items() for s in seeds]
     assert {len(layout.notches) for layout in layouts} == {0, 1, 2}

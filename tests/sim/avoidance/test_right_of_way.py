@@ -386,6 +386,7 @@ def test_not_ranking_those_who_are_clear_of_each_other_changes_nothing(
     assert 0 < sum(clear) < len(clear)
 
 
+@pytest.mark.slow
 def test_robots_work_out_their_paths_only_where_somebody_may_have_to_step_aside(
     home: Scene, free: FreeSpace, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,6 +38,7 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 
 # --- pictures -----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_pictures_have_the_sizes_of_the_papers_cameras() -> None:
     names = ("arm_depth", "arm_rgb", *DETECTORS, "front_left_depth", "front_left_rgb")
     for env in (social_nav_env(HOME, observations=names), rearrange_env(HOME, observations=names)):

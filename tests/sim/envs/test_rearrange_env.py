@@ -25,6 +25,7 @@ from sim_kinematic.policies.rearrange import planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, SENSES
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from tests.examples import examples
 from tests.sim.steppers import PAIR, SkillSession
 from tests.sim.steppers import rearrange_env as make_env
 from tests.simulated import simulate_rearrange
@@ -150,6 +151,7 @@ def test_skills_take_their_time_and_what_is_infeasible_takes_a_step() -> None:
     assert info["held_by"].tolist() == [0, -1]
 
 
+@pytest.mark.slow
 def test_time_runs_out() -> None:
     env = make_env(HOME, partner="still")
     env.reset(seed=2)
@@ -291,7 +293,7 @@ def play_at_random(c: dict[str, Any], *, actions: int) -> None:
 
 
 @given(c=configurations)
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=examples(4), deadline=None)
 def test_random_actions_do_no_harm(c: dict[str, Any]) -> None:
     play_at_random(c, actions=12)
 

@@ -314,6 +314,7 @@ def copied_chooser(world: RearrangeEpisode) -> Network:
     )  # fmt: skip
 
 
+@pytest.mark.slow  # quick: training/test_populations.py
 def test_a_chooser_from_a_file_does_the_task(tmp_path: Path, task_world: RearrangeEpisode) -> None:
     save_network(copied_chooser(task_world), tmp_path / "chooser.npz")
     policy = f"weights:{tmp_path / 'chooser.npz'}"

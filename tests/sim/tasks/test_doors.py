@@ -128,6 +128,7 @@ def play_on(session: Session, command: object) -> None:
         session.step()
 
 
+@pytest.mark.slow
 def test_opening_a_door_gives_the_room_behind_it_and_closing_takes_it_back(
     home: Scene, episode: RearrangeEpisode
 ) -> None:

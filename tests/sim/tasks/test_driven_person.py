@@ -180,6 +180,7 @@ def test_any_command_leaves_a_person_finite_and_out_of_obstacles(
         assert float(person.free.signed_distance(person.xz)) >= person.radius_m - 2e-3
 
 
+@pytest.mark.slow
 def test_commands_at_random_come_out_again() -> None:
     session, rng = begun("complement", index=1), np.random.default_rng(3)
     options = [Pick(0), Pick(1), Drop(), HandOver(0), Place((1.0, 0.8, 1.0)), Action("nav_to_object", 1)]

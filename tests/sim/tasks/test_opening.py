@@ -124,6 +124,7 @@ def test_recordings_come_back_from_both_stores(recording: Recording, tmp_path: P
         assert again.columns["state_hash"][-1] == recording.columns["state_hash"][-1]
 
 
+@pytest.mark.slow  # quick: the same of doors
 def test_homes_that_do_not_open_have_no_trace_of_it() -> None:
     plain = build_home(HomeSpec(seed=2))
     episode = rearrange_episode(plain, seed=1, spec=RearrangeSpec(max_steps=900)).only(1)

@@ -78,6 +78,7 @@ class Scripted:
 
 
 # --- episodes ---------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_episodes_are_fair(home: Scene, free: FreeSpace) -> None:
     """Objects and goals lie on receptacles of two pieces of furniture, touch nothing, and both agents can get at them."""
     surfaces = {f"{i.name}|{r.name}": instance_matrix(i) @ np.append(r.center, 1) for i, r in home.receptacles()}

@@ -264,6 +264,7 @@ def test_a_world_that_is_over_begins_its_next_episode(episodes: list[RearrangeEp
         assert torch.equal(mine, new)
 
 
+@pytest.mark.slow
 def test_worlds_without_repeats_stay_as_they_ended(bank: RearrangeBank) -> None:
     sim = RearrangeTensors(bank, device="cpu", planners=KINDS, partner="both", repeats=False)
     nothing = torch.full((len(bank),), FREE)

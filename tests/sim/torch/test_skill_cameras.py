@@ -132,6 +132,7 @@ def test_a_step_and_its_frames_never_leave_the_device(skill: Skill) -> None:
     assert wanted.shape == action.shape
 
 
+@pytest.mark.slow  # quick: test_cameras.py
 def test_each_world_sees_the_home_of_its_episode(device: Any) -> None:  # noqa: F811
     """Homes with other objects that may be moved, and episodes that follow each other; as on a machine without a GPU."""
     name, renderer = device

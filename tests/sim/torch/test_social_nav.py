@@ -152,6 +152,7 @@ def test_her_way_points_last_for_the_whole_episode(bank: EpisodeBank) -> None:
     assert 2 <= last < bank.way_points.shape[1]
 
 
+@pytest.mark.slow
 def test_a_collision_ends_the_episode_where_the_rules_say_so(bank: EpisodeBank) -> None:
     rules = replace(RULES, end_on_collision=True, max_steps=500)
     sim = SocialNavTensors(bank, device="cpu", spec=rules)

@@ -106,6 +106,7 @@ def test_a_whole_episode_verifies_from_raw_input(tmp_path: Path):
     assert recording.episode.info["ended"] == "success"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("app", ["rearrange", pytest.param("social_nav", marks=pytest.mark.slow)])
 def test_nobody_walks_through_the_robot(tmp_path: Path, app: str):
     """A person who walks straight at the robot is stopped by its discs, or slides along them; that verifies from raw input."""

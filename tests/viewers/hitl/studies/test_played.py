@@ -29,7 +29,8 @@ FORMS = [
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return play_study(tmp_path_factory.mktemp("study"), 2, unfinished=1, forms=FORMS)
+    conditions = [{"name": name, "partner": name, "rules": {"objects": 1}} for name in ("solo", "still")]
+    return play_study(tmp_path_factory.mktemp("study"), 2, unfinished=1, forms=FORMS, conditions=conditions)
 
 
 def copied(study: Path, folder: Path) -> Path:
