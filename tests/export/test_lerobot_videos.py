@@ -96,6 +96,7 @@ def test_a_camera_that_is_not_there_stops_the_job(
     assert not list(out.rglob("*.parquet"))
 
 
+@pytest.mark.slow
 def test_an_export_copies_the_videos_that_there_are(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

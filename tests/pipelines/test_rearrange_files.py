@@ -300,6 +300,7 @@ def test_options_that_a_file_decides_are_refused(
     assert told in run_json(capsys, *args, code=2)["error"]
 
 
+@pytest.mark.slow
 def test_policies_are_evaluated_on_a_file(
     saved: Path, folder: Path, sampled: RearrangeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

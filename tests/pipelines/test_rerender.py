@@ -228,6 +228,7 @@ def test_one_bad_recording_does_not_stop_the_others(
     assert Path(rows[1]["files"][0]).exists()
 
 
+@pytest.mark.slow
 def test_cameras_choose_how_detailed_people_are(episode: Path) -> None:
     """Near ones show the full mesh, far ones the reduced one, in the same call; ids do not tell which."""
     recording = h3data.open(episode)

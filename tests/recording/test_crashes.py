@@ -166,6 +166,7 @@ except InputError as error:
 """
 
 
+@pytest.mark.slow
 def test_a_file_that_may_not_grow_keeps_what_was_flushed(tmp_path):
     command = [sys.executable, "-c", PRELUDE + FILLS_UP, str(tmp_path)]
     process = subprocess.run(command, stdout=subprocess.PIPE, check=True, timeout=60)

@@ -73,6 +73,7 @@ def test_commands_show_people_as_asked(log: Path, tmp_path: Path, capsys: pytest
     assert "--people is not for csv" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_videos_of_another_style_are_not_taken_for_complete(log: Path, tmp_path: Path) -> None:
     command = [
         "rerender",

@@ -248,6 +248,7 @@ def moved_person(view: Any, rng: np.random.Generator) -> Any:
     return view._replace(other_xz=start, other_track=np.roll(view.other_track, 3, 0) + 0.1, objects=objects)
 
 
+@pytest.mark.slow
 def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[RearrangeEpisode]) -> None:
     rng, robot = np.random.default_rng(0), RecurrentChooser(chooser(without=("humanoid_gps",)))
     assert robot.network.observations == tuple(n for n in OBSERVATIONS if n not in OF_OTHER)

@@ -205,6 +205,7 @@ def base_step(step, data, pose, action):
     return goal, True
 
 
+@pytest.mark.slow  # quick: test_habitat_slide.py
 @needs_real
 def test_every_recorded_step_of_the_real_base_action_from_its_recorded_pose():
     finder = PathFinder(read_navmesh(REAL / "habitat-lab" / "reference" / "navmesh" / "flat.navmesh"))

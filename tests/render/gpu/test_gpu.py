@@ -464,6 +464,7 @@ def test_what_the_gpu_does_not_draw_is_left_to_the_cpu(make):
         assert alike.mean() > 0.99
 
 
+@pytest.mark.slow
 def test_memory_that_does_not_suffice_takes_some_views_at_a_time(make, monkeypatch, caplog):
     import torch
 

@@ -53,6 +53,7 @@ def assert_sets_are_whole(free: FreeSpace, points: np.ndarray) -> None:
         np.testing.assert_allclose(away, np.linalg.norm(free.graph.nodes[found] - point, axis=1))
 
 
+@pytest.mark.slow  # quick: those of any floor
 def test_the_sets_of_a_home_miss_no_corner(home):
     rng = np.random.default_rng(0)
     border = free_border(home, rng, 40)

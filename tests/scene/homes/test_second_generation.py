@@ -78,6 +78,7 @@ def test_a_style_changes_looks_and_not_places():
     assert fixed[0] == fixed[1]
 
 
+@pytest.mark.slow
 def test_clutter_changes_only_the_small_things():
     bare, full = home(replace(SPEC, clutter=0.0)), home(replace(SPEC, clutter=2.0))
     assert movable(bare) == 0

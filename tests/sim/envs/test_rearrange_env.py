@@ -93,6 +93,7 @@ def test_it_is_the_episode_that_the_simulator_plays() -> None:
     assert sorted(heights) == heights
 
 
+@pytest.mark.slow
 def test_two_outside_play_the_planners_episode() -> None:
     """Both agents outside, each told by the policy that would have moved it: the same bits."""
     session = SkillSession(HOME, agents=("robot", "human"), interrupts_when_close=False)

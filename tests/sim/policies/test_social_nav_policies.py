@@ -127,6 +127,7 @@ def test_who_walks_stops_at_the_wall(free: FreeSpace) -> None:
         assert (straight_walk(free, xz, np.zeros(2), 9) == xz).all()
 
 
+@pytest.mark.slow
 def test_she_comes_and_the_expert_gives_way(free: FreeSpace) -> None:
     """The only difference is what she did in the last step: then it backs away at full speed."""
     rng = np.random.default_rng(5)

@@ -66,6 +66,7 @@ def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -
     assert not play.collision  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeSpace) -> None:
     """They were at 1.3 m/s from one step to the next."""
     episode = rearrange_episode(home, seed=1, free=free)

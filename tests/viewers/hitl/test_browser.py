@@ -90,9 +90,7 @@ def verified_messages(server: Any, steps: int) -> set[str]:
     return {json.loads(event.payload)["message"]["k"] for event in recording.inputs if event.kind == "client"}
 
 
-def test_the_task_is_played_to_success_by_one_key_and_its_recording_is_whole(
-    fast_server: Any, tmp_path: Path
-) -> None:
+def test_the_task_is_played_to_success_by_one_key_and_its_recording_is_whole(fast_server: Any, tmp_path: Path) -> None:
     said = play("task", fast_server.links[0], tmp_path)
     assert said["over"]["ended"] == "success"
     assert said["bones"] == 22
