@@ -58,16 +58,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         yield server
 
 
-@pytest.fixture(scope="module")
-def fast_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """The same, but time runs twice as fast: for whole tasks, in which a person walks for most of a minute."""
-    from tests.viewers.hitl.server import Server
-
-    out = tmp_path_factory.mktemp("fast")
-    with Server(out, {"tables": 8, "stays": True}, scenes="small:1", episodes=20, speed=2.0) as server:
-        yield server
-
-
 def play(scenario: str, url: str, pictures: Path | None = None) -> dict[str, Any]:
     """What `web/test/browser/play.mjs` says of a scenario."""
     command = ["node", str(WEB / "test" / "browser" / "play.mjs"), scenario, url]
@@ -90,12 +80,12 @@ def verified_messages(server: Any, steps: int) -> set[str]:
     return {json.loads(event.payload)["message"]["k"] for event in recording.inputs if event.kind == "client"}
 
 
-def test_the_task_is_played_to_success_by_one_key_and_its_recording_is_whole(fast_server: Any, tmp_path: Path) -> None:
-    said = play("task", fast_server.links[0], tmp_path)
+def test_the_task_is_played_to_success_by_one_key_and_its_recording_is_whole(server: Any, tmp_path: Path) -> None:
+    said = play("task", server.links[0], tmp_path)
     assert said["over"]["ended"] == "success"
     assert said["bones"] == 22
     assert {path.name for path in tmp_path.iterdir()} >= {"task_start.png", "task_taken.png", "task_end.png"}
-    assert {"pick", "place"} <= verified_messages(fast_server, said["states"])
+    assert {"pick", "place"} <= verified_messages(server, said["states"])
 
 
 def test_the_own_body_is_shown_where_the_server_puts_it(server: Any) -> None:
@@ -122,12 +112,12 @@ def test_a_lost_connection_comes_back_to_the_same_seat(server: Any) -> None:
     assert said["after"] > said["before"]
 
 
-def test_the_task_is_played_to_success_in_a_headset(fast_server: Any) -> None:
-    said = play("headset", fast_server.links[0])
+def test_the_task_is_played_to_success_in_a_headset(server: Any) -> None:
+    said = play("headset", server.links[0])
     assert said["over"]["ended"] == "success"
     assert said["walked"] > 0.2
     assert max(said["held"]) >= 0
-    assert {"move", "head", "hand", "pick", "place"} <= verified_messages(fast_server, said["states"])
+    assert {"move", "head", "hand", "pick", "place"} <= verified_messages(server, said["states"])
 
 
 def test_a_headset_stays_on_from_one_episode_to_the_next(server: Any, tmp_path: Path) -> None:
