@@ -33,7 +33,7 @@ def stay(benchmark: BenchmarkWorlds) -> np.ndarray:
     return benchmark.step([np.zeros((benchmark.worlds, 2)) for _ in benchmark.agents])
 
 
-@pytest.mark.parametrize("action", ["nav", "pick"])
+@pytest.mark.parametrize("action", [pytest.param("nav", marks=pytest.mark.slow), "pick"])
 @pytest.mark.parametrize(
     "agents",
     [

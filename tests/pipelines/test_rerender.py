@@ -184,6 +184,7 @@ main(sys.argv[1:])
 """
 
 
+@pytest.mark.slow  # quick: what is complete is kept
 @pytest.mark.parametrize(
     ("kind", "unfinished"),
     [

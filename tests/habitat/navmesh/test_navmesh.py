@@ -21,6 +21,7 @@ from h3data.habitat.navmesh.navmesh_file import read_navmesh, write_navmesh
 from h3data.habitat.navmesh.pathfinder import PathFinder
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data.scene.freespace.build import build_from_walkable
+from tests.examples import examples
 from tests.paths import REAL
 
 ROOMS = ["simple_room_default", "simple_room_6chairs"]
@@ -320,7 +321,7 @@ def test_big_endian_files_are_named_as_such(good, tmp_path):
         read_navmesh(tmp_path / "missing.navmesh")
 
 
-@runs(max_examples=150, derandomize=True, deadline=None)
+@runs(max_examples=examples(150), derandomize=True, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 500), st.integers(0, 255)), min_size=1, max_size=4))
 def test_random_damage_gives_a_navmesh_or_a_format_error(changes):
     import tempfile

@@ -25,6 +25,7 @@ def leaves(home: Scene) -> list[int]:
     return [k for k, (_, part) in enumerate(joints_of(home).parts) if part.name == "leaf"]
 
 
+@pytest.mark.slow
 def test_rooms_furniture_and_things_are_those_of_the_home_without_doors(home: Scene) -> None:
     plain = build_home(HomeSpec(seed=int(home.source["seed"]), generation=2))
     kept = [i for i in home.instances if not i.name.startswith("door_")]

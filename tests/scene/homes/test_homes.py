@@ -90,6 +90,7 @@ def test_too_many_rooms_for_the_area_are_refused_with_the_least_area():
         HomeSpec(preset="small", bedrooms=6)
 
 
+@pytest.mark.slow
 def test_options_at_their_defaults_leave_a_home_and_its_identity_alone():
     plain = HomeSpec(seed=1)
     given = HomeSpec(seed=1, area_m2=68.56, bedrooms=1, bathrooms=1, clutter=1, density=1)

@@ -325,6 +325,7 @@ def test_a_chooser_from_a_file_does_the_task(tmp_path: Path, task_world: Rearran
     assert done[:4] == ["nav_to_object", "pick", "nav_to_goal", "place"]
 
 
+@pytest.mark.slow
 def test_choosers_that_do_not_fit_are_refused(tmp_path: Path, task_world: RearrangeEpisode, weights: Path) -> None:
     good = copied_chooser(task_world)
     save_network(good, tmp_path / "robot.npz")

@@ -206,7 +206,7 @@ def test_what_agents_are_shown_is_what_the_cpu_shows(episodes: list[RearrangeEpi
                 if name in names:
                     np.testing.assert_allclose(mine[name][n], seen[name], rtol=0, atol=1e-5, err_msg=name)
 
-    for step in range(90):
+    for step in range(45):
         pair.step(pair.random(rng), compare if step % 3 == 0 and not pair.turns[0].over else None)
     assert len(off) > 100
     assert np.quantile(off, 0.5) < 0.02
