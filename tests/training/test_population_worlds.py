@@ -183,6 +183,7 @@ def arrays(folder: Path, name: str = POLICY) -> dict[str, np.ndarray]:
     return dict(found.arrays)
 
 
+@pytest.mark.slow  # quick: the same on CPU cores, test_populations.py
 def test_a_run_learns_and_resumes_exactly(episodes: Sequence[RearrangeEpisode], short: None, tmp_path: Path) -> None:
     whole, parted = tmp_path / "whole", tmp_path / "parted"
     for folder in (whole, parted):

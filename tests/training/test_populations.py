@@ -367,6 +367,7 @@ def fabricated(rng: np.random.Generator, *, wanted: int, network: ChooserNetwork
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [ROBOT, pytest.param("partner_0", marks=pytest.mark.slow)])
 @pytest.mark.usefixtures("one_torch_thread")
 def test_it_learns_what_pays(name: str) -> None:

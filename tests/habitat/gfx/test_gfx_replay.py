@@ -130,6 +130,7 @@ def test_fold_agrees_with_a_slow_player(
     assert_same_history(rec, keyframes)
 
 
+@pytest.mark.slow
 @needs_real
 @pytest.mark.parametrize(
     "path",

@@ -21,7 +21,7 @@ def _generate(task: str, robot: Path, out: Path) -> int:
     return main(["generate", task, *words])
 
 
-@pytest.mark.parametrize("task", ["social_nav", "wander", "rearrange"])
+@pytest.mark.parametrize("task", [pytest.param("social_nav", marks=pytest.mark.slow), "wander", "rearrange"])
 def test_a_robot_without_an_arm(task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = tmp_path / "crate.urdf"
     urdf.write_text(NO_ARM)

@@ -371,6 +371,7 @@ def test_mixes_of_three_to_five_neither_touch_nor_block_each_other() -> None:
 
 
 # --- agents far from each other -----------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.parametrize("agents", [None, pytest.param("robot,robot,human,human", marks=pytest.mark.slow)])
 def test_not_ranking_those_who_are_clear_of_each_other_changes_nothing(
     home: Scene, free: FreeSpace, agents: str | None, monkeypatch: pytest.MonkeyPatch

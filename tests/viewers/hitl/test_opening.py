@@ -122,6 +122,7 @@ def test_a_played_robot_opens_and_takes(tmp_path: Path):
     assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
 
 
+@pytest.mark.slow
 def test_what_cannot_be_opened(tmp_path: Path):
     player = Player(LiveGame(opening(tmp_path), 0))
     player.play()

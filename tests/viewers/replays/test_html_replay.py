@@ -165,6 +165,7 @@ def test_things_that_move_goals_and_progress_are_there(tidied: Recording, tmp_pa
     assert any("started" in event["text"] for event in about["events"])
 
 
+@pytest.mark.slow
 def test_doors_and_drawers_are_moved_by_their_joints(tmp_path: Path) -> None:
     scene = build_home(HomeSpec(seed=2, articulated=True))
     episode = rearrange_episode(scene, seed=2)
