@@ -101,7 +101,7 @@ def test_resets_leave_nothing_behind() -> None:
 
     tracemalloc.start()
     try:
-        held = [play(8) for _ in range(5)]
+        held = [play(25) for _ in range(5)]
         assert min(after - before for before, after in pairwise(held)) < 10_000  # what leaks does so every time
     finally:
         tracemalloc.stop()

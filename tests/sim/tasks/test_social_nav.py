@@ -23,6 +23,7 @@ from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps, steps_to_find
 from sim_kinematic.tasks.social_nav.episode import sample_pair_starts as draw_starts
+from tests.examples import examples
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 
@@ -316,7 +317,7 @@ def test_the_oracle_meets_one_who_stands_and_not_one_out_of_time(
 
 def test_no_policy_is_faster_than_the_oracle(home: Scene, free: FreeSpace) -> None:
     """``l`` is a minimum: whoever finds her in step p had ``r_p <= p``, so ``l <= p + 1``."""
-    for seed in range(3):
+    for seed in range(examples(6)):
         recording = simulate_social_nav(world(home, free, seed=seed, max_steps=400))
         found = next(e.step for e in recording.events if e.kind == "found") + 1
         assert 1 < recording.episode.info["oracle_min_steps"] <= found + 1

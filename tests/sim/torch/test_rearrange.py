@@ -34,6 +34,7 @@ from sim_kinematic.torch.rearrange.bank import RearrangeBank  # noqa: E402
 from sim_kinematic.torch.rearrange.observations import OBSERVED, View, observed  # noqa: E402
 from sim_kinematic.torch.rearrange.state import DONE, FAILED, FREE, Play  # noqa: E402
 from sim_kinematic.torch.rearrange.worlds import RearrangeTensors  # noqa: E402
+from tests.examples import examples  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 HOMES = ["h3-homes/val#0", "h3-homes/val#1"]
@@ -206,7 +207,7 @@ def test_what_agents_are_shown_is_what_the_cpu_shows(episodes: list[RearrangeEpi
                 if name in names:
                     np.testing.assert_allclose(mine[name][n], seen[name], rtol=0, atol=1e-5, err_msg=name)
 
-    for step in range(45):
+    for step in range(examples(135)):
         pair.step(pair.random(rng), compare if step % 3 == 0 and not pair.turns[0].over else None)
     assert len(off) > 100
     assert np.quantile(off, 0.5) < 0.02
