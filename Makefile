@@ -24,15 +24,21 @@ $(STAMP): pyproject.toml constraints.txt
 demo: setup  ## simulate, record, render again, measure: out/demo/
 	$(BIN)/h3data demo -o out/demo --force
 
+# kernels of navmeshes, of Habitat's sliding, of pictures for a GPU and the like, which `h3data warmup` leaves to who needs them
+KERNEL_TESTS := tests/habitat/navmesh/test_pathfinder.py tests/sim/motion/test_habitat_slide.py tests/sim/torch/test_cameras.py \
+	tests/pipelines/test_scenes_command.py::test_a_scene_without_floor_does_not_stop_the_others tests/sim/agents/test_oracle.py \
+	tests/scene/freespace/test_free_space.py tests/viewers/hitl/test_wire.py tests/viewers/hitl/test_apps.py
+
 warm: setup  ## kernels and tests compiled ahead, so that two processes of tests do not wait for each other: in a clean checkout
 	$(BIN)/h3data warmup
 	$(PYTEST) --collect-only -qq >/dev/null
+	$(PYTEST_2) $(KERNEL_TESTS)
 
 test: setup
 	$(PYTEST_2)
 
-test-all: setup  ## the slow ones too
-	$(PYTEST_2) -m "not gpu and not bench"
+test-all: setup  ## the slow ones too, and more examples of each law
+	HYPOTHESIS_PROFILE=full $(PYTEST_2) -m "not gpu and not bench"
 
 test-browser: setup  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
 	$(PYTEST) -m browser -rs

@@ -19,10 +19,15 @@ try:
 except ImportError:  # a machine with a GPU and little else: `pytest -m gpu`
     collect_ignore = [str(path) for path in Path(__file__).parent.rglob("test_*.py") if path.name != "test_gpu.py"]
 else:
-    settings.register_profile(
-        "h3data", derandomize=True, deadline=None, max_examples=30, suppress_health_check=[HealthCheck.too_slow]
-    )
-    settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "h3data"))
+    for profile, count in (("quick", 10), ("full", 30)):  # `make test-all` looks at more examples of each law
+        settings.register_profile(
+            profile,
+            derandomize=True,
+            deadline=None,
+            max_examples=count,
+            suppress_health_check=[HealthCheck.too_slow],
+        )
+    settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
 @pytest.fixture(scope="session")

@@ -17,6 +17,8 @@ PACKAGES = {
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "bake": ROOT / "pipelines" / "bake",
 }
+BLOCKS = (ast.stmt, ast.ExceptHandler, ast.match_case)
+"""Where imports are; most of a tree is expressions, which have none."""
 FILES_PER_FOLDER = 15
 """Modules per folder, `__init__.py` not counted."""
 
@@ -35,11 +37,14 @@ def imported_names(tree: ast.Module) -> Iterator[str]:
 
     Imports inside functions and those for type checkers count too: they hide a circle from Python, not from a reader.
     """
-    for node in ast.walk(tree):
+    waiting: list[ast.AST] = [tree]
+    while waiting:
+        node = waiting.pop()
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        waiting += [child for child in ast.iter_child_nodes(node) if isinstance(child, BLOCKS)]
 
 
 def import_graph(paths: dict[str, Path]) -> dict[str, list[str]]:

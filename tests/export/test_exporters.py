@@ -505,7 +505,10 @@ def log(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("to", TARGETS)
+@pytest.mark.parametrize(
+    "to",
+    [pytest.param(to, marks=pytest.mark.slow) if to in ("gfx-replay", "gltf", "foxglove") else to for to in TARGETS],
+)
 def test_the_command_writes_once_and_again_only_by_force(
     to: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -565,7 +568,7 @@ def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: 
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("ending", [".gfx_replay.json", ".gfx_replay.json.gz"])
+@pytest.mark.parametrize("ending", [pytest.param(".gfx_replay.json", marks=pytest.mark.slow), ".gfx_replay.json.gz"])
 def test_an_exported_replay_is_imported_with_its_own_assets(
     recording: Recording,
     tmp_path: Path,

@@ -152,6 +152,7 @@ def test_messages_come_in_the_order_of_their_times(recording: Recording, file: F
     assert [t for t, _ in file.messages["/agents/robot/pose"]] == recording.columns["time_ns"].tolist()
 
 
+@pytest.mark.slow
 def test_equal_recordings_make_equal_files(tmp_path: Path, monkeypatch, recording: Recording) -> None:
     whole = export(recording, tmp_path / "a.foxglove.mcap")
     export(recording, tmp_path / "b.foxglove.mcap")
@@ -164,6 +165,7 @@ def test_equal_recordings_make_equal_files(tmp_path: Path, monkeypatch, recordin
         assert all(np.allclose(found[name], expected[name], atol=ATOL) for name in expected)
 
 
+@pytest.mark.slow
 def test_an_independent_reader_understands_it(tmp_path: Path, recording: Recording) -> None:
     chunk = pytest.importorskip("rerun.chunk")
     view = FoxgloveCamera(camera=pinhole(64, 48, hfov_deg=80, name="still"), poses=np.eye(4)[None])
@@ -225,7 +227,7 @@ def test_what_rests_is_not_told_again(file: File) -> None:
 
 
 # --- things -----------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("step", [0, 30])
+@pytest.mark.parametrize("step", [pytest.param(0, marks=pytest.mark.slow), 30])
 def test_models_are_where_the_replay_draws_them(recording: Recording, replay: Replay, file: File, step: int) -> None:
     shown: dict[str, list[np.ndarray]] = {}
     for name, place, glb in file.models(int(recording.columns["time_ns"][step])):

@@ -394,6 +394,7 @@ def test_the_stage_names_its_parts(exported: Path) -> None:
     assert walls["extras"]["h3data"] == {"category": "wall", "semantic_id": 1, "layer": ""}
 
 
+@pytest.mark.slow
 def test_a_split_building_has_semantic_ids(home: Scene, exported: Path, tmp_path: Path) -> None:
     split = load_habitat_scene(export_habitat(home, tmp_path / "split", split_building=True))
     assert split.source["warnings"] == []
@@ -505,7 +506,7 @@ def test_names_become_file_names(tmp_path: Path) -> None:
 
 
 # --- things that open ---------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("share", [0.0, 0.7])
+@pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
 def test_things_that_open_come_back_as_articulated_objects(tmp_path: Path, share: float) -> None:
     """Exported, read and posed: the same places as posed here, whatever the joints' rest positions."""
     home = build_home(HomeSpec(seed=2, articulated=True))

@@ -96,6 +96,7 @@ def test_a_camera_that_is_not_there_stops_the_job(
     assert not list(out.rglob("*.parquet"))
 
 
+@pytest.mark.slow
 def test_an_export_copies_the_videos_that_there_are(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -119,6 +120,7 @@ def test_an_export_copies_the_videos_that_there_are(
     assert np.array_equal(list(one.video(0, "human_head").frames()), list(both.video(1, "human_head").frames()))
 
 
+@pytest.mark.slow
 def test_a_rendered_export_is_a_copied_one(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

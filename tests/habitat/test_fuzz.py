@@ -35,6 +35,7 @@ from h3data.npz_arrays import npz_arrays
 from h3data.recording import AssetRef, read_mcap, write_mcap
 from h3data.replay import Replay
 from h3data_pipelines.cli import main
+from tests.examples import examples
 
 POSE = {"translation": [1.5, 0.25, -2], "rotation": [1, 0, 0, 0]}
 FLIPPED = {"translation": [1.5, 0.25, -2], "rotation": [-0.5, 0.5, 0.5, 0.5]}
@@ -212,7 +213,7 @@ def damaged_files(draw: st.DrawFn) -> tuple[str, bytes]:
     return kind, damaged(FILES[kind][0], draw)
 
 
-@settings(max_examples=100, derandomize=True, deadline=None)
+@settings(max_examples=examples(100), derandomize=True, deadline=None)
 @given(file=damaged_files())
 def test_damaged_files_are_read_or_refused(folder: Path, file: tuple[str, bytes]) -> None:
     read_or_refuse(folder, *file)
@@ -231,7 +232,7 @@ leaf = st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | 
 anything = st.recursive(leaf, lambda s: st.lists(s, max_size=3) | st.dictionaries(st.text(max_size=6), s, max_size=3))
 
 
-@settings(max_examples=100, derandomize=True, deadline=None)
+@settings(max_examples=examples(100), derandomize=True, deadline=None)
 @given(group=st.sampled_from(PLACES), value=anything, deep=st.booleans(), data=st.data())
 def test_any_value_at_any_place_of_a_replay(
     folder: Path, group: str, value: Any, deep: bool, data: st.DataObject
@@ -325,9 +326,11 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "tracks that fill the memory": ("x.gfx_replay.json", lambda: b'{"keyframes":[' + b"{}," * 30_000 + text({"creations": [
         {"instanceKey": k, "creation": {"filepath": "a"}} for k in range(900)]}) + b"]}", "more than can be read"),
 }  # fmt: skip
+HEAVY = ("a keyframe without end", "gzip bomb", "gzip bomb of a log")
+"""Cases that take more than a second."""
 
 
-@pytest.mark.parametrize("case", HOSTILE)
+@pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.slow) if c in HEAVY else c for c in HOSTILE])
 def test_hostile_files_leave_nothing_behind(
     tmp_path: Path, case: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -29,6 +29,7 @@ from h3data.metrics.episode import NEVER
 from h3data.metrics.paper.encounter import PAPER, encounter_series
 from h3data.metrics.paper.social_nav import following_rows
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
+from tests.examples import examples
 from tests.paths import ROOT
 
 ROBOT = Agent(name="spot", kind="robot")
@@ -277,7 +278,7 @@ def plain_row(c: dict[str, np.ndarray], k: int) -> tuple[float, bool, bool]:
     return distance, found, bool(ahead < -PAPER.still_m_s or np.linalg.norm(velocity) < PAPER.yield_m_s)
 
 
-@settings(max_examples=12, derandomize=True, deadline=None)
+@settings(max_examples=examples(12), derandomize=True, deadline=None)
 @given(seed=st.integers(0, 10_000), rows=st.integers(1, 60))
 def test_the_series_equal_a_plain_loop(seed, rows):
     columns = random_columns(seed, rows)
@@ -308,7 +309,7 @@ def test_values_follow_from_the_series():
     assert measure(rec).values["FD"] == pytest.approx(np.nanmean(distance[measure(rec).encounter_row :]))
 
 
-@settings(max_examples=10, derandomize=True, deadline=None)
+@settings(max_examples=examples(10), derandomize=True, deadline=None)
 @given(seed=st.integers(0, 1000), turn=st.floats(-3, 3), shift=st.floats(-5, 5))
 def test_metrics_do_not_depend_on_where_the_home_stands(seed, turn, shift):
     random = np.random.default_rng(seed)

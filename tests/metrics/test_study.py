@@ -147,6 +147,7 @@ def test_simulated_studies_have_the_moments_they_were_asked_for():
     assert set(hits["response"].tolist()) == {0, 1}
 
 
+@pytest.mark.slow
 def test_power_is_high_for_large_and_small_for_no_differences():
     sessions = plan_sessions(12, CONDITIONS, EPISODES, episodes_per_condition=4)
     means = {"solo": 40.0, "learn_single": 40.0, "plan_pop3": 80.0}

@@ -33,8 +33,16 @@ def stay(benchmark: BenchmarkWorlds) -> np.ndarray:
     return benchmark.step([np.zeros((benchmark.worlds, 2)) for _ in benchmark.agents])
 
 
-@pytest.mark.parametrize("action", ["nav", "pick"])
-@pytest.mark.parametrize("agents", ["robot", "human", "robot_robot", "human_robot"])
+@pytest.mark.parametrize("action", [pytest.param("nav", marks=pytest.mark.slow), "pick"])
+@pytest.mark.parametrize(
+    "agents",
+    [
+        pytest.param("robot", marks=pytest.mark.slow),
+        pytest.param("human", marks=pytest.mark.slow),
+        pytest.param("robot_robot", marks=pytest.mark.slow),
+        "human_robot",
+    ],
+)
 def test_every_kind_of_cell_runs(agents: str, action: str) -> None:
     cell = Cell(agents=agents, action=action, worlds=2)  # type: ignore[arg-type]
     benchmark, rng = BenchmarkWorlds(cell), np.random.default_rng(1)
@@ -79,6 +87,7 @@ def test_the_arm_sees_one_picture_of_each_world() -> None:
         BenchmarkWorlds(Cell(agents="human", pictures="arm"))
 
 
+@pytest.mark.slow
 def test_resets_leave_nothing_behind() -> None:
     benchmark, rng = BenchmarkWorlds(Cell(worlds=2)), np.random.default_rng(1)
 

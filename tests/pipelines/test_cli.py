@@ -128,6 +128,7 @@ def test_rerender_view_and_metrics(demo: Path, tmp_path: Path, capsys: pytest.Ca
     assert data["bytes"] > 10_000
 
 
+@pytest.mark.slow
 def test_an_episode_of_a_dataset_can_be_drawn_and_viewed(
     demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -151,6 +152,7 @@ def test_an_episode_of_a_dataset_can_be_drawn_and_viewed(
     assert len(h3data.open(demo / "dataset")[-1]) == 24
 
 
+@pytest.mark.slow  # quick: test_rerender, the same bytes
 def test_depth_videos_are_the_same_every_time(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     episode, files = demo / "episode.mcap", []
     for name in ("a", "b", "c"):
@@ -173,7 +175,7 @@ def test_a_camera_from_a_file(demo: Path, tmp_path: Path, capsys: pytest.Capture
 def test_same_seed_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (
         run_json(
-            capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "7", "--max-steps", "60",
+            capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "7", "--max-steps", "20",
             "-o", tmp_path / name,
         )
         for name in ("a", "b")
@@ -187,7 +189,7 @@ def test_same_seed_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[s
         a, b = (h3data.open(tmp_path / name).recording(i) for name in ("a", "b"))
         assert recordings_equal(a, b) == []
     other = run_json(
-        capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "8", "--max-steps", "60",
+        capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "8", "--max-steps", "20",
         "-o", tmp_path / "c",
     )  # fmt: skip
     assert not set(other["state_hashes"]) & set(first["state_hashes"])

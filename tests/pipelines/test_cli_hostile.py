@@ -84,14 +84,21 @@ def test_output_that_cannot_be_written() -> None:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert "Traceback" not in done.stderr
     assert done.returncode == 2
-    for arguments in (command, [*command, "--help"]):
-        closed, write = os.pipe()
-        os.close(closed)
-        done = subprocess.run(arguments, stdout=write, stderr=subprocess.PIPE, text=True)
-        os.close(write)
-        assert (done.returncode, "Error" in done.stderr) == (0, False)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("more", [[], pytest.param(["--help"], marks=pytest.mark.slow)])
+def test_nobody_reads_on(more: list[str]) -> None:
+    """The other end of a pipe is closed, as by ``head``."""
+    command = [sys.executable, "-m", "h3data_pipelines.cli", "scenes", "list", *more]
+    closed, write = os.pipe()
+    os.close(closed)
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert (done.returncode, "Error" in done.stderr) == (0, False)
+
+
+@pytest.mark.slow
 def test_file_names_that_are_not_text(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"a\xff b.gfx_replay.json")
     path.write_text(replay())
@@ -328,6 +335,7 @@ def test_pictures_are_complete_and_of_one_run(tmp_path: Path, capsys: pytest.Cap
     assert run_json(capsys, *options, "999:", code=2)
 
 
+@pytest.mark.slow
 def test_cameras_wait_where_their_agent_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A robot that comes late and a person who leaves early."""
     frames: list[dict[str, Any]] = [{"creations": [], "stateUpdates": []} for _ in range(12)]
@@ -345,7 +353,9 @@ def test_cameras_wait_where_their_agent_is_not_there(tmp_path: Path, capsys: pyt
     assert len(data["recordings"][0]["files"]) == 2
 
 
-def test_a_killed_demo_can_be_recovered_and_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture
+def killed(tmp_path: Path) -> Path:
+    """What a killed demo leaves of its recording, three steps of it."""
     out = tmp_path / "demo"
     part = out / "episode.mcap.part"
     columns = {"time_ns": np.arange(3), "agent_0.base_pose": STANDING}
@@ -355,13 +365,22 @@ def test_a_killed_demo_can_be_recovered_and_repeated(tmp_path: Path, capsys: pyt
     )
     writer.append(columns)
     writer.flush()
-    killed = part.read_bytes()
+    left = part.read_bytes()
     writer.abort(keep=False)
-    part.write_bytes(killed)
-    saved = run_json(capsys, "recover", part, "-o", tmp_path / "saved.mcap")
+    part.write_bytes(left)
+    return part
+
+
+def test_a_killed_demo_can_be_recovered(killed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    saved = run_json(capsys, "recover", killed, "-o", tmp_path / "saved.mcap")
     assert len(h3data.open(tmp_path / "saved.mcap")) == saved["steps"] == 3
-    assert "--force" in run_json(capsys, "recover", part, "-o", tmp_path / "saved.mcap", code=2)["error"]
-    assert "recover" in run_json(capsys, "metrics", out / "episode.mcap", code=2)["error"]
+    assert "--force" in run_json(capsys, "recover", killed, "-o", tmp_path / "saved.mcap", code=2)["error"]
+    assert "recover" in run_json(capsys, "metrics", killed.with_suffix(""), code=2)["error"]
+
+
+@pytest.mark.slow
+def test_a_killed_demo_can_be_repeated(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = killed.parent
     assert run_json(capsys, "demo", "-o", out, "--steps", "5", "--size", "320x240", "--force")["steps"] == 5
     assert not list(out.rglob("*.part"))
 

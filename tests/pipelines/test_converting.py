@@ -28,6 +28,7 @@ from h3data.recording import (
 )
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands import converting
+from tests.examples import examples
 
 
 def episode(name: str, steps: int = 5, *, joints: int = 3, extra: str = "", dt_ns: int = 33_333_333) -> Recording:
@@ -126,7 +127,7 @@ def test_logs_of_one_folder_can_share_their_scenes(tmp_path: Path, capsys: pytes
     assert Dataset(tmp_path / "ds2").recording(2).attachments == scene
 
 
-@settings(max_examples=10)
+@settings(max_examples=examples(10))
 @given(steps=st.integers(0, 40), joints=st.integers(0, 6), extra=st.sampled_from(["", "sim.x", "agent_0.odd"]))
 def test_any_shape_survives(
     steps: int, joints: int, extra: str, tmp_path_factory: pytest.TempPathFactory

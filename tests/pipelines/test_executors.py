@@ -58,6 +58,7 @@ def mortal(folder: Path, number: int) -> int:
     return square(number)
 
 
+@pytest.mark.slow  # four processes die
 def test_a_process_that_dies_costs_its_shard_only(tmp_path: Path) -> None:
     run = partial(Processes(2).run, partial(mortal, tmp_path), range(12))
     faults = []

@@ -95,6 +95,7 @@ def test_a_card_says_what_is_inside(dataset: Dataset, tmp_path: Path, capsys: py
     assert picture[180:].std() > 10
 
 
+@pytest.mark.slow
 def test_a_card_is_kept_unless_forced(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = copied(dataset, tmp_path / "ds")
     run_json(capsys, "card", root)
@@ -153,6 +154,7 @@ def test_what_is_pushed_is_pulled(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["back", "ds"]
 
 
+@pytest.mark.slow
 def test_a_smaller_version_replaces_the_larger_one(dataset: Dataset, hub: Hub, tmp_path: Path) -> None:
     root = tmp_path / "large"
     with DatasetWriter(root, episodes_per_file=1) as writer:
@@ -181,6 +183,7 @@ def test_an_interrupted_push_goes_on(dataset: Dataset, hub: Hub, tmp_path: Path)
     assert hub.repos[REPO].files
 
 
+@pytest.mark.slow
 def test_an_interrupted_pull_goes_on(dataset: Dataset, hub: Hub, tmp_path: Path) -> None:
     h3data.push(copied(dataset, tmp_path / "ds"), REPO)
     out, files = tmp_path / "back", len(hub.repos[REPO].files)
@@ -195,6 +198,7 @@ def test_an_interrupted_pull_goes_on(dataset: Dataset, hub: Hub, tmp_path: Path)
     assert len(Dataset(out)) == 2
 
 
+@pytest.mark.slow
 def test_damage_on_the_way_is_noticed(dataset: Dataset, hub: Hub, tmp_path: Path) -> None:
     h3data.push(copied(dataset, tmp_path / "ds"), REPO)
     repo = hub.repos[REPO]
@@ -247,6 +251,7 @@ def test_what_stands_in_the_way_is_said(
     assert 'pip install "h3data[hub]"' in pull_error()
 
 
+@pytest.mark.slow
 def test_addresses_name_datasets_too(dataset: Dataset, hub: Hub, tmp_path: Path) -> None:
     h3data.push(copied(dataset, tmp_path / "ds"), f"https://huggingface.co/datasets/{REPO}")
     assert len(Dataset(h3data.pull(f"hf://datasets/{REPO}", tmp_path / "back"))) == 2

@@ -90,6 +90,7 @@ def test_bad_options_are_refused(
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 def test_two_people_are_resumed_only_as_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     args = ("generate", "rearrange", "--scenes", "h3-homes/test#2", "--json", "-o", tmp_path / "ds")
     made = run_json(capsys, *args, "--episodes", "1", "--agents", "human,male_1")

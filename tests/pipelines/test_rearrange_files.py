@@ -146,6 +146,7 @@ def habitat_episode(folder: Path, sampled: RearrangeEpisode) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow  # quick: those below, in fewer steps
 def test_a_habitat_file_is_played_in_its_scene(
     folder: Path, sampled: RearrangeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -299,6 +300,7 @@ def test_options_that_a_file_decides_are_refused(
     assert told in run_json(capsys, *args, code=2)["error"]
 
 
+@pytest.mark.slow
 def test_policies_are_evaluated_on_a_file(
     saved: Path, folder: Path, sampled: RearrangeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -401,6 +403,7 @@ def test_partnr_episodes_are_played_where_they_ask_for_places(
     assert sum(shown["unplayable"].values()) == 2
 
 
+@pytest.mark.slow
 def test_episodes_of_one_file_may_differ_in_their_number_of_objects(
     folder: Path, sampled: RearrangeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -80,7 +80,9 @@ def test_data_is_exact_and_comes_with_its_cameras(
         assert sum(1 for _ in container.decode(video=0)) == 5
 
 
-@pytest.mark.parametrize("kind", ["mp4", "av1", "data", "png"])
+@pytest.mark.parametrize(
+    "kind", ["data", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("mp4", "av1", "png"))]
+)
 def test_the_same_bytes_with_any_number_of_workers(
     kind: str, episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -119,6 +121,7 @@ def test_what_is_complete_is_kept(episode: Path, tmp_path: Path, capsys: pytest.
     assert len(json.loads(Path(first["cameras"]).read_text())["cameras"]["near"]["steps"]) == 7
 
 
+@pytest.mark.slow
 def test_pictures_of_another_size_with_smooth_edges(
     episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -181,8 +184,14 @@ main(sys.argv[1:])
 """
 
 
+@pytest.mark.slow  # quick: what is complete is kept
 @pytest.mark.parametrize(
-    ("kind", "unfinished"), [("mp4", "rgb.mp4.part"), ("data", "depth.mkv.part"), ("png", "depth.part/")]
+    ("kind", "unfinished"),
+    [
+        pytest.param("mp4", "rgb.mp4.part", marks=pytest.mark.slow),
+        ("data", "depth.mkv.part"),
+        pytest.param("png", "depth.part/", marks=pytest.mark.slow),
+    ],
 )
 def test_a_full_disk_is_said_and_the_next_run_goes_on(
     kind: str, unfinished: str, episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -220,6 +229,7 @@ def test_one_bad_recording_does_not_stop_the_others(
     assert Path(rows[1]["files"][0]).exists()
 
 
+@pytest.mark.slow
 def test_cameras_choose_how_detailed_people_are(episode: Path) -> None:
     """Near ones show the full mesh, far ones the reduced one, in the same call; ids do not tell which."""
     recording = h3data.open(episode)

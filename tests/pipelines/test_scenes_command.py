@@ -456,6 +456,7 @@ def test_map_shows_islands_receptacles_and_problems() -> None:
     assert (marked[clean.shape[0] :, -8:] == marked[-1, -1]).all()  # no line runs out of the picture
 
 
+@pytest.mark.slow
 def test_map_of_a_home_without_ceiling_layer(home: Scene, tmp_path: Path) -> None:
     """An exported home has its ceiling in the stage; from above one must look into the rooms all the same."""
     from h3data.habitat.scenes.scene_instance import load_habitat_scene
@@ -483,6 +484,7 @@ def test_eye_level_camera_stands_on_free_floor(home: Scene) -> None:
         assert z0 - 0.01 < z < z1 + 0.01
 
 
+@pytest.mark.slow
 def test_episodes_of_an_export_lead_to_its_scenes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -52,6 +52,7 @@ def test_a_copy_is_equal_and_the_next_one_is_nothing(
     assert said(capsys, dataset, copy, "--quick")["copied"] == []
 
 
+@pytest.mark.slow  # quick: recording/test_storage.py
 def test_there_and_back_by_an_object_store(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with bucket() as uri:
         said(capsys, dataset, f"{uri}/ds")

@@ -73,6 +73,7 @@ def test_the_announcement_can_be_silenced(environment: dict[str, str]) -> None:
     assert not _python("-c", quiet + COMPILE, environment=environment).stderr
 
 
+@pytest.mark.slow
 def test_a_killed_process_leaves_no_lock(environment: dict[str, str]) -> None:
     killed = COMPILE.replace(
         "doubled(1.0)",

@@ -37,17 +37,20 @@ def test_random_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     assert (tmp_path / "p.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_vector_env(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "vector_env.py"))
     assert "% of the worlds found the person" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_environment_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["x", str(tmp_path / "p.jpg"), "small:1"])
     runpy.run_path(str(EXAMPLES / "environment_pictures.py"))
     assert (tmp_path / "p.jpg").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_rearrange_pair(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "rearrange_pair.py"))
     out = capsys.readouterr().out

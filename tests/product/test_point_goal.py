@@ -46,7 +46,7 @@ def test_it_is_measured_verified_resumed_and_reported(
     again, first = h3data.open(tmp_path / "again.mcap"), list(h3data.open(dataset))[1]
     for name, values in first.columns.items():
         np.testing.assert_array_equal(again.columns[name], values, err_msg=name)
-    run(capsys, "report", dataset, "-o", tmp_path / "report.html")
+    run(capsys, "report", dataset, "--pictures", "0", "-o", tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert "succeeds in 100" in page
     assert "not measured" not in page

@@ -147,6 +147,7 @@ def test_the_version() -> None:
     assert h3data.__version__
 
 
+@pytest.mark.slow
 def test_gymnasium_finds_the_environments_after_both_imports() -> None:
     script = "import gymnasium, h3data; print(gymnasium.make('h3data/SocialNav-v0', scenes='small:1').spec.id)"
     said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

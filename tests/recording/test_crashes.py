@@ -36,6 +36,7 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.recording.mcap.scan import scan_records
+from tests.examples import examples
 from tests.paths import ROOT
 from tests.recording.strategies import simple_recording
 
@@ -93,7 +94,7 @@ def killed_after(code: str, out: Path, reports: int) -> int:
     return int(whole[-1]) if whole else reports
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_kill_9_at_any_moment_costs_a_log_at_most_one_second(tmp_path, seed):
     path = tmp_path / "a.mcap"
     reported = killed_after(RECORDS_FOR_EVER, path, random.Random(seed).randrange(1, 400))
@@ -113,7 +114,7 @@ def test_kill_9_at_any_moment_costs_a_log_at_most_one_second(tmp_path, seed):
     assert abs(len(back.events) - saved.steps / 7) <= 1 + FLUSH_ROWS / 7
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_kill_9_while_logs_are_closed_costs_nothing(tmp_path, seed):
     reported = killed_after(CLOSES_FOR_EVER, tmp_path / "a", random.Random(seed).randrange(1, 30))
     named = list(tmp_path.glob("a*.mcap"))
@@ -124,7 +125,7 @@ def test_kill_9_while_logs_are_closed_costs_nothing(tmp_path, seed):
         assert part.with_suffix("") not in named, "a log has one name"
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_kill_9_at_any_moment_costs_a_dataset_its_unfinished_file(tmp_path, seed):
     root = tmp_path / "ds"
     reported = killed_after(ADDS_FOR_EVER, root, random.Random(seed).randrange(2, 25))
@@ -165,6 +166,7 @@ except InputError as error:
 """
 
 
+@pytest.mark.slow
 def test_a_file_that_may_not_grow_keeps_what_was_flushed(tmp_path):
     command = [sys.executable, "-c", PRELUDE + FILLS_UP, str(tmp_path)]
     process = subprocess.run(command, stdout=subprocess.PIPE, check=True, timeout=60)
@@ -270,7 +272,7 @@ def check_log(path: Path) -> int:
     return saved.steps
 
 
-@pytest.mark.parametrize("stride", [7, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [17, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_records_of_a_log_cut_at_every_byte(tmp_path, stride):
     data = small_log(tmp_path / "sound.mcap")
     counts = [0]
@@ -287,7 +289,7 @@ def test_the_records_of_a_log_cut_at_every_byte(tmp_path, stride):
         assert scan_records(bytes(damaged)).fault is not None, at
 
 
-@pytest.mark.parametrize("stride", [53, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [107, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_log_cut_at_every_byte(tmp_path, stride):
     data, path, saved = small_log(tmp_path / "sound.mcap"), tmp_path / "cut.mcap", [0]
     for cut in range(0, len(data), stride):
@@ -313,8 +315,13 @@ def closed_log(path: Path, *, loops: bool) -> tuple[Recording, bytes, int]:
     return rec, data, data.index(scene) + len(scene)
 
 
-@pytest.mark.parametrize("loops", [False, True])
-@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.parametrize("loops", [False, pytest.param(True, marks=pytest.mark.slow)])
+@settings(
+    max_examples=examples(15),
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(share=st.floats(0, 1))
 def test_a_closed_log_that_is_cut_loses_only_what_was_cut_off(tmp_path, loops, share):
     """However it was cut behind the scene, all chunks before the cut are saved: 10 s of the episode at most are lost."""
@@ -347,7 +354,7 @@ def validate_skills(rec: Recording) -> list[SkillSpan]:
     return [span for span in rec.skills if not 0 <= span.start_step <= span.end_step < len(rec)]
 
 
-@pytest.mark.parametrize("stride", [53, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [107, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_log_with_a_flipped_bit_in_every_byte(tmp_path, stride):
     data, path = small_log(tmp_path / "sound.mcap"), tmp_path / "flipped.mcap"
     for at in range(0, len(data), stride):

@@ -41,6 +41,7 @@ from h3data.recording.parquet import shard as dataset_shard
 from h3data.recording.parquet.folder import EpisodeRows
 from h3data.recording.parquet.moments import merged, moments_of
 from h3data.recording.schema import DTYPES
+from tests.examples import examples
 from tests.paths import REAL, ROOT
 from tests.recording.strategies import recordings, simple_recording
 
@@ -84,7 +85,7 @@ def test_episodes_of_different_shapes_share_a_dataset(tmp_path, recs, per_file):
         assert list(ds.recording(k).columns) == list(rec.columns)
 
 
-@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(12), deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(rec=recordings())
 def test_log_to_dataset_to_log(tmp_path, rec):
     first = read_mcap(write_mcap(rec, tmp_path / "a.mcap", overwrite=True))
@@ -211,7 +212,7 @@ def test_stats_are_right(tmp_path):
     assert set(stats) == set(json.loads((tmp_path / "ds/meta/info.json").read_text())["features"])
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(values=st.lists(st.floats(width=32), min_size=1, max_size=20), cut=st.integers(0, 20))
 def test_moments_merge(values, cut):
     x = np.array(values, np.float32)[:, None]
@@ -303,6 +304,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.slow  # quick: test_crashes.py
 def test_kill_9_loses_only_the_unfinished_file(tmp_path):
     root = tmp_path / "ds"
     code = KILLED.format(repo=str(ROOT), root=str(root))

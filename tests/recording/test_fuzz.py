@@ -28,7 +28,7 @@ from h3data.recording import Dataset, DatasetWriter, open_recording, read_mcap, 
 from tests.recording.strategies import simple_recording
 
 FEW = {"deadline": None, "derandomize": True, "suppress_health_check": list(HealthCheck), "print_blob": False}
-EXAMPLES = [pytest.param(25), pytest.param(1000, marks=pytest.mark.slow)]
+EXAMPLES = [pytest.param(10), pytest.param(1000, marks=pytest.mark.slow)]
 NUMBERS = [0, 1, -1, 2, 7, 255, 2**31 - 1, 2**31, 2**32, -(2**31), 2**62, 2**63 - 1, -(2**63), 10**12]
 TEXTS = [
     "", "0", "-1", "nan", "[]", "{}", "null", "[[]]", "1e999", "9" * 30, "ü\0", "../../etc/passwd", "/", "[1, 2]", '{"a": 1}',

@@ -29,6 +29,7 @@ from h3data.recording.mcap import wire
 from h3data.recording.mcap.scan import MAGIC
 from h3data.recording.mcap.wire import message_class, step_descriptor, struct_descriptor, wire_layouts
 from h3data.recording.schema import RECORD_TYPES, STRUCTS, layout_of, topic_of
+from tests.examples import examples
 from tests.recording.strategies import recordings, simple_recording
 
 SOME = settings(
@@ -259,7 +260,7 @@ def test_flipped_bits_anywhere(tmp_path, sound):
         assert all(np.array_equal(back.columns[n], a[: len(back)]) for n, a in rec.columns.items())
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=examples(80), deadline=None, derandomize=True)
 @given(junk=st.binary(max_size=200), magic=st.booleans())
 def test_junk_is_refused(tmp_path_factory, junk, magic):
     path = tmp_path_factory.getbasetemp() / "junk.mcap"

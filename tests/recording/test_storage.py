@@ -36,7 +36,7 @@ def s3() -> Iterator[str]:
         yield uri
 
 
-@pytest.fixture(params=["mock", "s3"])
+@pytest.fixture(params=["mock", pytest.param("s3", marks=pytest.mark.slow)])
 def store(request: pytest.FixtureRequest) -> str:
     """A fresh folder in memory or in the bucket."""
     name = request.node.name.replace("[", "_").strip("]")
@@ -202,6 +202,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow  # a bucket takes seconds to start; quick: the same in memory
 def test_commands_take_uris(s3: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     generate = ("generate", "social_nav", *OPTIONS, "--episodes", 1, "--mcap", "-o")
     local, uri = run(capsys, *generate, tmp_path / "ds"), f"{s3}/made"
@@ -238,6 +239,7 @@ def test_recordings_at_a_uri_are_shown_simulated_again_and_replaced(
     assert (Path(made["recordings"][0]["files"][0]) / "000001.png").is_file()
 
 
+@pytest.mark.slow
 def test_a_bucket_without_the_right_to_write(s3: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with DatasetWriter(f"{s3}/others") as out:
         out.add(EPISODES[0])

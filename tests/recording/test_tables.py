@@ -46,6 +46,7 @@ def test_columns_and_episodes_come_as_asked(dataset: Dataset) -> None:
     assert len(dataset.to_arrow(episodes=[1])) == 0
 
 
+@pytest.mark.slow
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(rec=recordings(max_steps=12), times=st.integers(1, 3))
 def test_torch_is_what_was_recorded(tmp_path: Path, rec, times: int) -> None:

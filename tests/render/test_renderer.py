@@ -172,6 +172,7 @@ def test_a_camera_inside_a_wall_sees_its_back():
         assert got["depth"] == pytest.approx(0.03, abs=0.02)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_resets_and_worlds():
     resource = pytest.importorskip("resource", reason="peak memory is read the POSIX way")
     wall = bumpy(12)

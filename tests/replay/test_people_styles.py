@@ -54,6 +54,7 @@ def test_capsules_cover_the_skin_and_bones_lie_inside_the_capsules(recording: Re
     assert (bones & ~capsules).sum() < 0.15 * bones.sum()
 
 
+@pytest.mark.slow
 def test_commands_show_people_as_asked(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def render(style: str) -> str:
         command = ["rerender", str(log), "--camera", "third_person", "--steps", "60:61", "--format", "png"]
@@ -72,6 +73,7 @@ def test_commands_show_people_as_asked(log: Path, tmp_path: Path, capsys: pytest
     assert "--people is not for csv" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_videos_of_another_style_are_not_taken_for_complete(log: Path, tmp_path: Path) -> None:
     command = [
         "rerender",

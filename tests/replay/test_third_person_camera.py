@@ -55,7 +55,7 @@ def share_of_the_other(replay: Replay, *, within_m: float) -> float:
     return float(np.mean([depth[0] > 0 and ((pixel > 0) & (pixel < size)).all() for pixel, depth in found]))
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 10))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 10))])
 def test_the_agent_is_seen_in_generated_homes(seed: int) -> None:
     spec = SocialNavSpec(max_steps=150, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
     replay = Replay(simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=seed)), seed=seed, spec=spec)))
@@ -210,6 +210,7 @@ def test_an_agent_by_name_is_followed_instead_of_the_robot() -> None:
         camera_track(replay, "nobody/third_person")
 
 
+@pytest.mark.slow  # quick: one step of a short one
 def test_one_step_of_a_long_recording_is_found_from_those_around_it() -> None:
     turn = np.linspace(0, 9, 900)
     way = np.stack([4 * np.cos(turn) + turn, 3 * np.sin(2 * turn)], axis=1)

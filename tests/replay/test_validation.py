@@ -23,6 +23,7 @@ from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.resume import verify
+from tests.examples import examples
 from tests.recording.strategies import random_bits, recordings
 from tests.simulated import simulate_social_nav, social_nav_episode
 
@@ -193,7 +194,7 @@ def test_any_recording_can_be_judged(recording: Recording) -> None:
         assert finding.subject in str(finding)
 
 
-@settings(max_examples=12)
+@settings(max_examples=examples(12))
 @given(which=st.integers(0, 2**16), row=st.integers(0, 119), seed=st.integers(0, 2**32))
 def test_flipped_bits_are_found(episode: Recording, which: int, row: int, seed: int) -> None:
     """Neither the validation nor the simulator stumbles over them, and both notice."""

@@ -37,6 +37,7 @@ from h3data.scene import (
     scene_digest,
 )
 from h3data.scene.scene_file import _linear_of_srgb, _srgb_of_linear, scene_bytes
+from tests.examples import examples
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +180,7 @@ def scenes(draw: st.DrawFn) -> Scene:
     )
 
 
-@settings(max_examples=60, derandomize=True, deadline=None)
+@settings(max_examples=examples(60), derandomize=True, deadline=None)
 @given(scenes())
 def test_any_scene_survives_exactly(scene: Scene):
     loaded = load_scene(scene_bytes(scene))
@@ -480,7 +481,7 @@ def test_a_newer_format_is_refused_and_a_newer_minor_is_read(home: Scene):
     same(home, load_scene(rebuilt(minor, binary)))
 
 
-@settings(max_examples=80, derandomize=True, deadline=None)
+@settings(max_examples=examples(80), derandomize=True, deadline=None)
 @given(st.data())
 def test_flipped_bytes_never_crash(data: st.DataObject):
     scene = scene_of(quad(textures=(random_texture(1),), face_textures=np.array([0, -1], np.int16)))

@@ -109,7 +109,7 @@ class Watched(PicturedNavigation):
         return velocity
 
 
-@pytest.mark.parametrize("seen", ["arm_depth", "arm_rgb"])
+@pytest.mark.parametrize("seen", ["arm_depth", pytest.param("arm_rgb", marks=pytest.mark.slow)])
 def test_device_and_simulator_show_the_same(seen: str) -> None:
     settings = replace(PICTURED, worlds=1, minibatches=1, episodes_per_home=1)
     settings = settings if seen == "arm_depth" else colored(settings)

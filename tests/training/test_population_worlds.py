@@ -126,7 +126,8 @@ class _Best(RecurrentChooser):
         return self.rows[-1][2]
 
 
-@pytest.mark.parametrize("without", [(), ("humanoid_gps", "primitives")])
+@pytest.mark.slow  # quick: sim/torch/test_rearrange.py
+@pytest.mark.parametrize("without", [(), pytest.param(("humanoid_gps", "primitives"), marks=pytest.mark.slow)])
 def test_decisions_are_those_of_the_cpu(
     episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.MonkeyPatch, without: tuple[str, ...]
 ) -> None:
@@ -164,6 +165,7 @@ def test_decisions_are_those_of_the_cpu(
 
 
 # --- episodes -----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_every_episode_is_accounted_for(episodes: Sequence[RearrangeEpisode], short: None) -> None:
     settings = replace(SMALL, population="learn_single")
     networks = {name: network(name, settings=settings) for name in settings.learners}
@@ -186,6 +188,7 @@ def test_every_episode_is_accounted_for(episodes: Sequence[RearrangeEpisode], sh
             assert episode["state"][1:].any(1).all()
 
 
+@pytest.mark.slow
 def test_other_seeds_play_otherwise(episodes: Sequence[RearrangeEpisode], short: None) -> None:
     players, policy = players_of(episodes), network()
     chosen = [
@@ -261,6 +264,7 @@ def arrays(folder: Path, name: str = POLICY) -> dict[str, np.ndarray]:
     return dict(found.arrays)
 
 
+@pytest.mark.slow  # quick: the same on CPU cores, test_populations.py
 def test_a_run_learns_and_resumes_exactly(episodes: Sequence[RearrangeEpisode], short: None, tmp_path: Path) -> None:
     whole, parted = tmp_path / "whole", tmp_path / "parted"
     for folder in (whole, parted):
@@ -343,7 +347,7 @@ def test_device_and_full_rules_judge_alike(monkeypatch: pytest.MonkeyPatch) -> N
     for episode in episodes:
         play = task.play(episode, task.assign(episode, {"robot": "learn_single", "human": "plan_pop_3"}))
         full.append((run(play) == "success", play.steps))
-    # measured: success 1.00 and 0.97, steps 371 and 483
+    # measured: success 0.93 and 0.97, steps 414 and 499
     (success, steps), (full_success, full_steps) = (np.mean(rows, 0) for rows in (device, full))
     assert abs(success - full_success) <= 0.1
     assert 0.7 * full_steps <= steps <= full_steps

@@ -127,6 +127,7 @@ def test_learners_are_those_of_the_paper() -> None:
 
 
 # --- episodes -----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_episodes_come_back_from_their_file(pool: Path, tmp_path: Path) -> None:
     drawn, read = draw_pool(DRAWN), pool_of(DRAWN, pool)
     assert drawn == read
@@ -215,6 +216,7 @@ class _Watched(RecurrentChooser):
         return chosen
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_never_offered(episodes: Sequence[RearrangeEpisode]) -> None:
     episode = replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700))
     robot = _Watched(chooser(think_steps=200), robot=True, seed=1)
@@ -248,6 +250,7 @@ def moved_person(view: Any, rng: np.random.Generator) -> Any:
     return view._replace(other_xz=start, other_track=np.roll(view.other_track, 3, 0) + 0.1, objects=objects)
 
 
+@pytest.mark.slow
 def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[RearrangeEpisode]) -> None:
     rng, robot = np.random.default_rng(0), RecurrentChooser(chooser(without=("humanoid_gps",)))
     assert robot.network.observations == tuple(n for n in OBSERVATIONS if n not in OF_OTHER)
@@ -295,7 +298,14 @@ def test_without_primitives_none_is_chosen(episodes: Sequence[RearrangeEpisode])
         assert np.isfinite(chosen.log_prob).all()
 
 
-@pytest.mark.parametrize("without", [("humanoid_gps",), ("primitives",), ("primitives", "humanoid_gps")])
+@pytest.mark.parametrize(
+    "without",
+    [
+        pytest.param(("humanoid_gps",), marks=pytest.mark.slow),
+        pytest.param(("primitives",), marks=pytest.mark.slow),
+        ("primitives", "humanoid_gps"),
+    ],
+)
 def test_an_ablation_is_kept_by_its_file(
     without: tuple[str, ...], episodes: Sequence[RearrangeEpisode], tmp_path: Path
 ) -> None:
@@ -372,6 +382,7 @@ def fabricated(rng: np.random.Generator, *, wanted: int, network: ChooserNetwork
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [ROBOT, pytest.param("partner_0", marks=pytest.mark.slow)])
 @pytest.mark.usefixtures("one_torch_thread")
 def test_it_learns_what_pays(name: str) -> None:
@@ -486,6 +497,7 @@ def jobs(count: int) -> list[Job]:
     return [Job(n, n % 2, "object_1", networks, 0, 0.99) for n in range(count)]
 
 
+@pytest.mark.slow
 def test_a_lost_process_costs_nothing(
     episodes: Sequence[RearrangeEpisode], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -158,7 +158,10 @@ def test_torchrun_starts_a_run_too(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("given", "fault", "message"),
-    [pytest.param(1, InputError, "cannot go on", marks=pytest.mark.slow), (-1, RuntimeError, "code 3")],
+    [
+        pytest.param(1, InputError, "cannot go on", marks=pytest.mark.slow),
+        pytest.param(-1, RuntimeError, "code 3", marks=pytest.mark.slow),
+    ],
 )
 def test_a_process_that_fails_ends_the_others(given: int, fault: type[Exception], message: str) -> None:
     said: list[str] = []

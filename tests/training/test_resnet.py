@@ -74,6 +74,7 @@ def test_it_plays_wherever_a_policy_has_a_name(folder: Path, tmp_path: Path) -> 
     assert main(["replay", str(episode), "--verify"]) == 0
 
 
+@pytest.mark.slow
 def test_it_goes_on_from_a_file_of_the_same_network_only(folder: Path, tmp_path: Path) -> None:
     policy = network_of(f"weights:{folder / POLICY}")
     assert isinstance(policy, ResNetPolicy)

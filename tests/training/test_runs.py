@@ -108,6 +108,7 @@ def test_tensorboard_reads_the_curve(whole: Path) -> None:
     assert np.allclose([event.value for event in events.Scalars("reward")], [row["reward"] for row in curve])
 
 
+@pytest.mark.slow  # quick: the same of populations and skills
 def test_an_interrupted_run_comes_to_the_same_weights(
     whole: Path, bank: EpisodeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,6 +134,7 @@ def test_an_interrupted_run_comes_to_the_same_weights(
         train(tmp_path, SMALL, bank=bank, resume=True)
 
 
+@pytest.mark.slow  # quick: those that see depth
 def test_a_run_that_sees_colours_resumes_exactly_and_plays(bank: EpisodeBank, tmp_path: Path) -> None:
     settings = small(observations=("arm_rgb", "humanoid_detector", "humanoid_gps"))
     whole, parts = tmp_path / "whole", tmp_path / "parts"
@@ -185,6 +187,7 @@ def test_a_decision_can_be_part_of_a_graph(bank: EpisodeBank) -> None:
     assert all(torch.equal(shown[name], worlds._shown[name]) for name in shown)
 
 
+@pytest.mark.slow
 def test_a_full_disk_loses_no_checkpoint(bank: EpisodeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save = torch.save
 
@@ -200,6 +203,7 @@ def test_a_full_disk_loses_no_checkpoint(bank: EpisodeBank, tmp_path: Path, monk
     assert not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_minutes_end_a_run(bank: EpisodeBank, tmp_path: Path) -> None:
     settings = small(updates=0, minutes=0.2)  # 12 s, of which 10 are spare; where the set-up takes longer, one update
     result = train(tmp_path, settings, bank=bank)
@@ -240,6 +244,7 @@ def test_a_second_stage_lets_the_critic_learn_first() -> None:
     assert all(schedule(first, 0.0, update).acts for update in (0, 1))
 
 
+@pytest.mark.slow
 def test_a_trained_policy_is_where_a_run_begins(whole: Path, bank: EpisodeBank, tmp_path: Path) -> None:
     policy = network_of(f"weights:{whole / POLICY}")
     assert isinstance(policy, PicturedNetwork)

@@ -168,8 +168,12 @@ def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.Captu
         assert message in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("observations", [OF_THE_ARM, ("target_sensor", "arm_joints")])
-@pytest.mark.parametrize("skill", ["nav", "pick", "place"])
+@pytest.mark.parametrize(
+    "observations", [OF_THE_ARM, pytest.param(("target_sensor", "arm_joints"), marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize(
+    "skill", ["pick", *(pytest.param(skill, marks=pytest.mark.slow) for skill in ("nav", "place"))]
+)
 def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str, observations: tuple[str, ...]) -> None:
     """Those who are told the way to the stand, and those who are not."""
     own = replace(bank, holds=np.full(len(bank), skill == "place"))

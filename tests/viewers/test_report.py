@@ -168,10 +168,12 @@ def test_the_page_holds_the_values_of_the_metrics_command(runs: dict[str, Path],
         assert f"{s.mean:.2f}" in report.html
 
 
+@pytest.mark.slow
 def test_the_same_recordings_give_the_same_page(runs: dict[str, Path], report: Report) -> None:
     assert make_report(runs.values(), pictures=2).html == report.html
 
 
+@pytest.mark.slow
 def test_workers_elsewhere_give_the_same_page(runs: dict[str, Path], report: Report) -> None:
     def spread(work: Callable[[Part], Found], parts: Sequence[Part]) -> Iterator[Found]:
         for part in parts:
@@ -314,6 +316,7 @@ def dispersed_study(*, task: str = "rearrange") -> list[Recording]:
     return episodes
 
 
+@pytest.mark.slow  # quick: tests/stats
 def test_no_p_value_of_an_unsound_model_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ds = write(tmp_path / "ds", dispersed_study())
     report = make_report([ds], pictures=0)
@@ -363,6 +366,7 @@ def test_automatic_and_human_orders_stand_beside_each_other(tmp_path: Path) -> N
     assert "ranks_rearrange" not in {t.key for t in make_report([people], pictures=0).tables}
 
 
+@pytest.mark.slow
 def test_any_task_can_be_studied(tmp_path: Path) -> None:
     ds = write(tmp_path / "ds", dispersed_study(task="juggling"))
     report = make_report([ds], pictures=0)
@@ -514,6 +518,7 @@ def test_the_command(runs: dict[str, Path], tmp_path: Path, capsys: pytest.Captu
     assert main(["report", str(runs["stand_still"]), "-o", str(tmp_path / "x.html"), "--pictures", "-1"]) == 2
 
 
+@pytest.mark.slow
 def test_replays_of_the_episodes_shown_lie_beside_the_report(
     runs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -146,7 +146,9 @@ def test_a_floor_elsewhere_and_a_cut_outside_are_repaired() -> None:
     np.testing.assert_allclose(strides, strides[0], rtol=0.01)
 
 
-@pytest.mark.parametrize("task", ["social_nav", pytest.param("rearrange", marks=pytest.mark.slow), "wander"])
+@pytest.mark.parametrize(
+    "task", ["social_nav", *(pytest.param(t, marks=pytest.mark.slow) for t in ("rearrange", "wander"))]
+)
 def test_recordings_carry_the_walk(task: str, walk_file: Path, tmp_path: Path) -> None:
     copy = tmp_path / "walk.npz"
     copy.write_bytes(walk_file.read_bytes())
@@ -172,6 +174,7 @@ def test_recordings_carry_the_walk(task: str, walk_file: Path, tmp_path: Path) -
         assert "motions" not in plain.episode.info
 
 
+@pytest.mark.slow
 def test_generate_gives_everybody_the_walk(walk_file: Path, tmp_path: Path) -> None:
     options = {"scenes": "small", "episodes": 2, "max_steps": 40, "motion": walk_file, "human": "any"}
     done = h3data.generate("wander", tmp_path / "ds", agents="robot,human,male_1", **options)
@@ -193,6 +196,7 @@ def test_generate_gives_everybody_the_walk(walk_file: Path, tmp_path: Path) -> N
         h3data.generate("wander", tmp_path / "robots", agents="robot,robot", motion=walk_file)
 
 
+@pytest.mark.slow
 def test_evaluations_take_the_walk(walk_file: Path, tmp_path: Path) -> None:
     options = {"scenes": "small", "episodes": 1, "max_steps": 30, "motion": walk_file, "keep": True}
     done = h3data.evaluate("social_nav", tmp_path / "e", policies="stand_still", **options)

@@ -21,6 +21,7 @@ from h3data.bodies.people.skinning_torch import TorchSkin
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, normalized, pose_from_matrix, quat_from_heading, quat_to_matrix
+from tests.bodies.people.everybody import EVERYBODY
 
 BODIES = humanoid_names()
 FEW = ("female_0", "male_1", "neutral_2")
@@ -29,7 +30,7 @@ ROOT = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
 UNIT = np.array([0, 0, 0, 1.0])
 
 
-@pytest.fixture(params=BODIES)
+@pytest.fixture(params=EVERYBODY)
 def body(request: pytest.FixtureRequest) -> Humanoid:
     return load_humanoid(request.param)
 

@@ -142,7 +142,9 @@ def _poses(body: Humanoid) -> np.ndarray:
 
 
 @pytest.mark.parametrize("outfit", OUTFITS)
-@pytest.mark.parametrize("name", ["female_2", "male_1", "child_0"])
+@pytest.mark.parametrize(
+    "name", ["female_2", *(pytest.param(name, marks=pytest.mark.slow) for name in ("male_1", "child_0"))]
+)
 def test_no_skin_comes_through_cloth(name: str, outfit: str) -> None:
     """Skin beside cloth stands out of it by at most some millimetres, in walking and reaching."""
     from scipy.spatial import KDTree

@@ -14,6 +14,7 @@ from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS, IDLE, 
 from h3data.bodies.people.planted_gait import on_floor, planted_states, pose_planted
 from h3data.geometry import Array, ground_pose, pose_to_matrix
 from h3data.scene.floor_heights import LEVEL
+from tests.examples import examples
 
 STEPS = 45
 """Of each part of a random track."""
@@ -61,7 +62,7 @@ def profile(wanted: list[tuple[float, float]]) -> tuple[Array, Array]:
     return limited(table[:, 0], 2.0 / 30), limited(table[:, 1], 4.0 / 30)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(wanted=parts, name=st.sampled_from(BODIES))
 def test_laws_of_any_profile_of_speeds(wanted: list[tuple[float, float]], name: str) -> None:
     body = load_humanoid(name)

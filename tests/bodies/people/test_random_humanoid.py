@@ -86,6 +86,7 @@ def test_episodes_make_people_of_their_own_and_verify(tmp_path: Path) -> None:
     assert image.std() > 10
 
 
+@pytest.mark.slow
 def test_each_person_of_an_episode_is_another(tmp_path: Path) -> None:
     out = tmp_path / "ds"
     words = [

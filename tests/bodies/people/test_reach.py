@@ -23,6 +23,7 @@ from h3data.bodies.people.reach import (
 )
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, pose_inverse, pose_to_matrix, transform_points
+from tests.bodies.people.everybody import EVERYBODY
 
 BODIES = humanoid_names()
 ROOT = IDENTITY_POSE[None]
@@ -45,7 +46,7 @@ def _many(name: str, hand: Hand) -> np.ndarray:
     return np.stack([forward, up, side], axis=1) * reacher(load_humanoid(name), hand).body.scale
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("name", EVERYBODY)
 @pytest.mark.parametrize("hand", HANDS)
 def test_hand_is_at_the_target_and_feet_stay(name: str, hand: Hand) -> None:
     body, targets = load_humanoid(name), _many(name, hand)
@@ -64,7 +65,7 @@ def test_hand_is_at_the_target_and_feet_stay(name: str, hand: Hand) -> None:
     np.testing.assert_allclose(np.linalg.norm(poses.quats, axis=-1), 1, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("name", EVERYBODY)
 def test_joints_stay_within_their_limits(name: str) -> None:
     body = load_humanoid(name)
     poses = reach_poses(body, _many(name, "right"))
@@ -91,7 +92,7 @@ def test_joints_stay_within_their_limits(name: str) -> None:
         assert np.degrees(2 * np.arccos(np.minimum(np.abs(q[:, 3]), 1))).max() < limit
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("name", EVERYBODY)
 def test_nobody_falls_over_or_reaches_through_herself(name: str) -> None:
     """By the body's own capsules and an own sum of segment masses, not by the kernel's measures."""
     body = load_humanoid(name)
@@ -114,7 +115,7 @@ def test_nobody_falls_over_or_reaches_through_herself(name: str) -> None:
             assert (np.linalg.norm(forearm - a - along[..., None] * (b - a), axis=-1) - radius[k]).min() > 0.005
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("name", EVERYBODY)
 def test_left_is_the_mirror_image_of_right(name: str) -> None:
     body, targets = load_humanoid(name), _many(name, "right")[:300]
     right, left = reach_poses(body, targets, "right"), reach_poses(body, targets * MIRROR, "left")
@@ -143,7 +144,7 @@ def test_straight_lines_are_smooth(name: str, hand: Hand, start: tuple, end: tup
     assert np.linalg.norm(np.diff(poses.pelvis, axis=0), axis=1)[both].max(initial=0) < 0.02
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("name", EVERYBODY)
 @pytest.mark.parametrize("hand", HANDS)
 def test_the_hanging_hand_is_the_standing_pose(name: str, hand: Hand) -> None:
     body = load_humanoid(name)

@@ -17,6 +17,7 @@ from h3data.bodies.robots.urdf import Urdf
 from h3data.errors import FormatError, H3DataError, InputError, MissingAssetError
 from h3data.geometry import pose_from_matrix, pose_inverse, pose_multiply
 from h3data.scene.records import Box, Capsule, Cylinder, Hull
+from tests.examples import examples
 from tests.paths import HABITAT_SIM
 
 needs_real = pytest.mark.skipif(not HABITAT_SIM.is_dir(), reason="Habitat's real files are not beside the checkout")
@@ -462,7 +463,7 @@ WORDS = (
 )
 
 
-@settings(derandomize=True, max_examples=75, deadline=None)
+@settings(derandomize=True, max_examples=examples(75), deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 30), st.sampled_from(WORDS)), min_size=1, max_size=3))
 def test_a_damaged_file_loads_or_is_refused_in_words(damage: list[tuple[int, int, str]]) -> None:
     body = LINKS + _joint("jb", "a", "b", "prismatic", '<origin xyz="1 2 3" rpy="0 1 0"/><axis xyz="0 0 1"/>' + LIMIT)

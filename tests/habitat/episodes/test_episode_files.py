@@ -520,8 +520,20 @@ def test_a_handle_twice_is_refused(tmp_path: Path) -> None:
     assert len(read_episodes(odd, strict=True)) == 1
 
 
-@pytest.mark.parametrize("frame", ["%s", '{"episodes": %s}', '{"episodes": [{"episode_id": "0", "scene_id": "s", "x": %s}]}',
-                                   '{"x": %s, "episodes": []}'])  # fmt: skip
+@pytest.mark.parametrize(
+    "frame",
+    [
+        "%s",
+        *(
+            pytest.param(frame, marks=pytest.mark.slow)
+            for frame in (
+                '{"episodes": %s}',
+                '{"episodes": [{"episode_id": "0", "scene_id": "s", "x": %s}]}',
+                '{"x": %s, "episodes": []}',
+            )
+        ),
+    ],
+)
 def test_a_million_brackets(tmp_path: Path, frame: str) -> None:
     file = tmp_path / "deep.json"
     for deep in ("[" * 10**6 + "]" * 10**6, "[" * 10**6, '{"a":' * 10**6 + "1" + "}" * 10**6):

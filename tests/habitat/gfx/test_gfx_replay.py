@@ -130,9 +130,14 @@ def test_fold_agrees_with_a_slow_player(
     assert_same_history(rec, keyframes)
 
 
+@pytest.mark.slow
 @needs_real
 @pytest.mark.parametrize(
-    "path", sorted(HITL.glob("*/g*/*.gfx_replay.json.gz")), ids=lambda p: p.parts[-3] + "-" + p.stem
+    "path",
+    [
+        pytest.param(p, id=f"{p.parts[-3]}-{p.stem}", marks=() if k == 0 else pytest.mark.slow)
+        for k, p in enumerate(sorted(HITL.glob("*/g*/*.gfx_replay.json.gz"), key=lambda p: p.stat().st_size))
+    ],
 )
 def test_fold_of_real_sessions_agrees_with_a_slow_player(path: Path) -> None:
     keyframes = json.loads(gzip.decompress(path.read_bytes()))["keyframes"]

@@ -21,6 +21,7 @@ from h3data.habitat.navmesh.navmesh_file import read_navmesh, write_navmesh
 from h3data.habitat.navmesh.pathfinder import PathFinder
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data.scene.freespace.build import build_from_walkable
+from tests.examples import examples
 from tests.paths import REAL
 
 ROOMS = ["simple_room_default", "simple_room_6chairs"]
@@ -320,7 +321,7 @@ def test_big_endian_files_are_named_as_such(good, tmp_path):
         read_navmesh(tmp_path / "missing.navmesh")
 
 
-@runs(max_examples=150, derandomize=True, deadline=None)
+@runs(max_examples=examples(150), derandomize=True, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 500), st.integers(0, 255)), min_size=1, max_size=4))
 def test_random_damage_gives_a_navmesh_or_a_format_error(changes):
     import tempfile
@@ -354,6 +355,7 @@ def test_version_1_takes_the_agent_from_the_tile(good, tmp_path):
     assert navmesh.area_m2 == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_too_large_a_mesh_or_grid_is_refused(tmp_path):
     wide = mesh_of([rect(0, 0, 5000, 5000)])
     with pytest.raises(InputError, match="larger cell_m"):

@@ -24,6 +24,7 @@ from h3data.habitat.navmesh.navmesh_file import read_navmesh
 from h3data.habitat.navmesh.pathfinder import MultiGoalShortestPath, PathFinder, ShortestPath
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
+from tests.examples import examples
 from tests.habitat.navmesh.test_navmesh import REAL, ROOMS, mesh_of, needs_real, rect, room
 
 FREE_TOL_M = 2e-6
@@ -205,6 +206,7 @@ def base_step(step, data, pose, action):
     return goal, True
 
 
+@pytest.mark.slow  # quick: test_habitat_slide.py
 @needs_real
 def test_every_recorded_step_of_the_real_base_action_from_its_recorded_pose():
     finder = PathFinder(read_navmesh(REAL / "habitat-lab" / "reference" / "navmesh" / "flat.navmesh"))
@@ -278,7 +280,7 @@ def test_paths_over_triangles_equal_those_of_the_visibility_graph():
 unit = st.floats(0, 1)
 
 
-@runs(max_examples=60, derandomize=True, deadline=None)
+@runs(max_examples=examples(60), derandomize=True, deadline=None)
 @given(st.lists(st.tuples(unit, unit), min_size=3, max_size=3), st.booleans())
 def test_distances_are_a_metric_and_paths_stay_inside(draws, grid):
     finder = ring()
@@ -296,7 +298,7 @@ def test_distances_are_a_metric_and_paths_stay_inside(draws, grid):
     assert free.geodesic(a[::2], b[::2]) == pytest.approx(d(a, b), abs=1e-3)
 
 
-@runs(max_examples=60, derandomize=True, deadline=None)
+@runs(max_examples=examples(60), derandomize=True, deadline=None)
 @given(unit, unit, st.floats(-20, 20), st.floats(-20, 20))
 def test_no_step_leaves_the_floor_or_its_island(u, v, dx, dz):
     finder = maze()

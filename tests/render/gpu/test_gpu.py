@@ -254,7 +254,7 @@ def test_baked_light_looks_as_on_the_cpu(make, monkeypatch):
     assert np.ptp(got["rgb"].astype(int)) > 60  # light and shade
 
 
-@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("samples", [1, pytest.param(4, marks=pytest.mark.slow)])
 def test_glossy_floors_look_as_on_the_cpu(make, samples):
     meshes = [textured(room(), 1), ball()]
     instances = [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.5, 0))]
@@ -267,7 +267,7 @@ def test_glossy_floors_look_as_on_the_cpu(make, samples):
         np.testing.assert_array_equal(got[name], plain[name])
 
 
-@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("samples", [1, pytest.param(4, marks=pytest.mark.slow)])
 def test_soft_shadows_and_tints_look_as_on_the_cpu(make, samples):
     rng = np.random.default_rng(5)
     scene = RenderScene(
@@ -304,6 +304,7 @@ def test_textures_and_smooth_edges(make):
     compare(make, GpuScene(scene), ROOM_VIEWS, samples=4)
 
 
+@pytest.mark.slow
 def test_what_is_clear_is_cut_out(make):
     """Leaves that stand still, move and bend; the same words as on the CPU wherever a texture is not just half opaque."""
 
@@ -376,6 +377,7 @@ def test_several_scenes_layers_and_views_of_one_world(make):
     assert not (got["instance"][2] == 1).any()
 
 
+@pytest.mark.slow
 def test_pictures_repeat_whatever_the_tile(make):
     scene, _ = home_with_person("small")
     cameras = eight_views(scene)[:2]
@@ -462,6 +464,7 @@ def test_what_the_gpu_does_not_draw_is_left_to_the_cpu(make):
         assert alike.mean() > 0.99
 
 
+@pytest.mark.slow
 def test_memory_that_does_not_suffice_takes_some_views_at_a_time(make, monkeypatch, caplog):
     import torch
 

@@ -15,6 +15,7 @@ from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, 
 from h3data.render.camera import Projection
 from h3data.render.raster.cpu import CpuEngine
 from h3data.render.raster.raster_draw import hidden
+from tests.examples import examples
 
 EDGE = 2e-4
 """Pixels whose ray passes an edge closer than this (barycentric) may go either way."""
@@ -117,7 +118,7 @@ def assert_same(picture: dict[str, NDArray], triangles: NDArray, camera: Camera)
 def test_random_soups_equal_the_ray_caster():
     rng = np.random.default_rng(1)
     checked = total = 0
-    for _ in range(30):
+    for _ in range(examples(30)):
         triangles, camera = soup(rng), random_camera(rng)
         checked += assert_same(draw(triangles, camera), triangles, camera)
         total += camera.width * camera.height
@@ -134,11 +135,11 @@ def random_view(rng: np.random.Generator, projection: Projection) -> Camera:
     return dataclasses.replace(camera, near=near, far=far)
 
 
-@pytest.mark.parametrize("projection", ["orthographic", "perspective"])
+@pytest.mark.parametrize("projection", ["orthographic", pytest.param("perspective", marks=pytest.mark.slow)])
 def test_orthographic_and_clipped_soups_equal_the_ray_caster(projection):
     rng = np.random.default_rng(3)
     checked = total = 0
-    for _ in range(25):
+    for _ in range(examples(25)):
         triangles, camera = soup(rng), random_view(rng, projection)
         checked += assert_same(draw(triangles, camera), triangles, camera)
         total += camera.width * camera.height

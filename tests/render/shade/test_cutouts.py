@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.render import Camera, Light, RayCaster, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.shade.cutouts import cut_out_faces, pack_opacity, solid_points
+from tests.examples import examples
 from tests.render.raster.test_raster import random_view, soup
 
 OUTPUTS = ("depth", "instance", "triangle", "rgb")
@@ -113,14 +114,14 @@ def random_mesh(rng: np.random.Generator) -> Mesh:
     )
 
 
-@pytest.mark.parametrize("backend", ["cpu", "rays"])
+@pytest.mark.parametrize("backend", ["cpu", pytest.param("rays", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_random_soups_equal_the_reference(projection, backend):
     if backend == "rays":
         pytest.importorskip("embreex", reason="the extra 'rays' is not installed")
     rng = np.random.default_rng(5)
     checked = total = through = odd = 0
-    for _ in range(12):
+    for _ in range(examples(12)):
         mesh, camera = random_mesh(rng), random_view(rng, projection)
         got = Renderer(scene_of(mesh), backend=backend).render(camera, outputs=("depth", "triangle"))
         depth, triangle, clear = cast(mesh, camera)

@@ -18,6 +18,7 @@ from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data.scene.freespace._visibility import GROW_M, sees, tangent, visible_nodes
 from h3data.scene.freespace._visibility_build import edges_inside
 from h3data.scene.freespace.build import build_from_walkable
+from tests.examples import examples
 
 SIZES: dict[str, Any] = {"radius_m": 0.25, "height_m": 1.41, "max_climb_m": 0.2, "cell_m": 0.05}
 
@@ -52,6 +53,7 @@ def assert_sets_are_whole(free: FreeSpace, points: np.ndarray) -> None:
         np.testing.assert_allclose(away, np.linalg.norm(free.graph.nodes[found] - point, axis=1))
 
 
+@pytest.mark.slow  # quick: those of any floor
 def test_the_sets_of_a_home_miss_no_corner(home):
     rng = np.random.default_rng(0)
     border = free_border(home, rng, 40)
@@ -69,7 +71,7 @@ def free_border(free: FreeSpace, rng: np.random.Generator, n: int) -> np.ndarray
 
 
 @given(st.integers(0, 10**6), st.sampled_from([0.05, 0.25]))
-@runs(max_examples=15)
+@runs(max_examples=examples(15))
 def test_the_sets_of_any_floor_miss_no_corner(seed, radius_m):
     free = cluttered(seed, radius_m=radius_m)
     rng = np.random.default_rng(seed)
@@ -89,7 +91,7 @@ def test_the_sets_around_walls_without_thickness_miss_no_corner():
 
 
 @given(st.integers(0, 10**6))
-@runs(max_examples=15)
+@runs(max_examples=examples(15))
 def test_a_field_is_the_distance_to_the_nearest_goal_and_points_along_the_path(seed):
     free = cluttered(seed)
     rng = np.random.default_rng(seed)

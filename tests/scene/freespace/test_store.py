@@ -19,6 +19,7 @@ from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable, scene_key
 from h3data.scene.freespace.store import cache_folder
 from h3data.scene.records import Asset, Box, Instance, Room, Scene
+from tests.examples import examples
 from tests.paths import ROOT
 
 SIZES = {"radius_m": 0.25, "height_m": 1.41, "max_climb_m": 0.2, "cell_m": 0.05}
@@ -160,7 +161,8 @@ def test_any_flipped_bit_gives_the_same_space_or_is_noticed(space, tmp_path):
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
     headers = [k for k in range(len(whole)) if whole[k : k + 2] == b"PK"]
-    places = [*rng.integers(0, len(whole), 150), *(int(h) + int(d) for h in headers for d in rng.integers(0, 46, 12))]
+    marks = [int(h + d) for h in headers for d in rng.integers(0, 46, examples(12))]
+    places = [*rng.integers(0, len(whole), examples(150)), *marks]
     noticed = 0
     for place in places:
         broken = bytearray(whole)
@@ -202,6 +204,7 @@ def test_a_read_only_cache_is_read_and_not_written(tmp_path, monkeypatch):
         (tmp_path / "freespace").chmod(0o755)
 
 
+@pytest.mark.slow
 def test_processes_that_build_the_same_scene_do_not_disturb_each_other(tmp_path):
     """Both miss the cache, both build, both write; the file is whole at every moment, and nothing else is left."""
     script = (

@@ -16,7 +16,7 @@ from h3data.scene.scene_file import scene_bytes
 SEEDS = (0, 2)
 
 
-@pytest.fixture(scope="module", params=SEEDS)
+@pytest.fixture(scope="module", params=[0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in SEEDS if seed)])
 def pair(request: pytest.FixtureRequest) -> tuple[Scene, Scene]:
     return build_home(HomeSpec(seed=request.param)), build_home(HomeSpec(seed=request.param, articulated=True))
 

@@ -16,7 +16,7 @@ from h3data.scene.passages import outlines, passable, passages
 SEEDS = (0, 1, 2, 4)
 
 
-@pytest.fixture(scope="module", params=SEEDS)
+@pytest.fixture(scope="module", params=[0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in SEEDS if seed)])
 def home(request: pytest.FixtureRequest) -> Scene:
     return build_home(HomeSpec(seed=request.param, generation=2, doors=True))
 
@@ -25,6 +25,7 @@ def leaves(home: Scene) -> list[int]:
     return [k for k, (_, part) in enumerate(joints_of(home).parts) if part.name == "leaf"]
 
 
+@pytest.mark.slow
 def test_rooms_furniture_and_things_are_those_of_the_home_without_doors(home: Scene) -> None:
     plain = build_home(HomeSpec(seed=int(home.source["seed"]), generation=2))
     kept = [i for i in home.instances if not i.name.startswith("door_")]
@@ -72,6 +73,7 @@ def test_leaves_meet_nothing_on_their_way(home: Scene) -> None:
             assert shut.obstacle(k, opens=opens) == ""
 
 
+@pytest.mark.slow
 def test_homes_differ_in_what_is_closed_and_in_how_leaves_move() -> None:
     kinds, closed = set(), []
     for seed in range(8):
@@ -83,6 +85,7 @@ def test_homes_differ_in_what_is_closed_and_in_how_leaves_move() -> None:
     assert 0.15 < np.mean(closed) < 0.7
 
 
+@pytest.mark.slow
 def test_both_storeys_have_doors() -> None:
     home = build_home(HomeSpec(seed=1, generation=2, doors=True, storeys=2))
     names = {joints_of(home).names[k].startswith("upper_") for k in leaves(home)}

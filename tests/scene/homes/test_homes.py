@@ -33,6 +33,8 @@ SPECS = [
     *(HomeSpec(seed=s, preset="medium") for s in (0, 2, 6)),
     HomeSpec(seed=2, preset="large"),
 ]
+QUICK = [SPECS[0], SPECS[3]]
+"""One small home and one of medium size."""
 
 
 @cache
@@ -43,7 +45,11 @@ def home(spec: HomeSpec) -> Scene:
 STRUCTURE = {name for name, number in CATEGORIES.items() if number < 10} | {"blind"}
 """Built in world coordinates, so that their pose says nothing."""
 
-homes = pytest.mark.parametrize("spec", SPECS, ids=lambda s: f"{s.preset}-{s.seed}")
+homes = pytest.mark.parametrize(
+    "spec",
+    [s if s in QUICK else pytest.param(s, marks=pytest.mark.slow) for s in SPECS],
+    ids=lambda s: f"{s.preset}-{s.seed}",
+)
 
 
 # --- repeatable -------------------------------------------------------------------------------------------------------
@@ -56,7 +62,7 @@ def test_same_spec_same_bytes_in_another_process_with_other_hash_seed():
 
 
 def test_seeds_and_presets_give_different_homes():
-    assert len({scene_digest(home(spec)) for spec in SPECS}) == len(SPECS)
+    assert len({scene_digest(home(spec)) for spec in QUICK}) == len(QUICK)
 
 
 def test_stages_are_keyed_independently():
@@ -84,6 +90,7 @@ def test_too_many_rooms_for_the_area_are_refused_with_the_least_area():
         HomeSpec(preset="small", bedrooms=6)
 
 
+@pytest.mark.slow
 def test_options_at_their_defaults_leave_a_home_and_its_identity_alone():
     plain = HomeSpec(seed=1)
     given = HomeSpec(seed=1, area_m2=68.56, bedrooms=1, bathrooms=1, clutter=1, density=1)
@@ -93,6 +100,7 @@ def test_options_at_their_defaults_leave_a_home_and_its_identity_alone():
     assert hash(HomeSpec(seed=1, clutter=2.0)) != hash(plain)
 
 
+@pytest.mark.slow  # quick: that of the second generation
 def test_clutter_changes_only_the_small_things():
     def parts(scene: Scene) -> tuple[list[tuple[str, bytes]], int]:
         fixed = [(i.name, i.pose.tobytes()) for i in scene.static_instances]
@@ -124,8 +132,8 @@ def test_density_cuts_triangles_and_changes_nothing_else():
     ("preset", "options"),
     [
         ("small", {"area_m2": 95.0, "bedrooms": 2}),
-        ("medium", {"area_m2": 180.0, "bedrooms": 4}),
-        ("medium", {"area_m2": 300.0}),
+        pytest.param("medium", {"area_m2": 180.0, "bedrooms": 4}, marks=pytest.mark.slow),
+        pytest.param("medium", {"area_m2": 300.0}, marks=pytest.mark.slow),
     ],
 )
 def test_area_and_rooms_may_be_chosen(preset: Any, options: dict[str, Any]):
@@ -183,6 +191,7 @@ def test_doors_are_wide_and_follow_the_rules(spec: HomeSpec):
     assert {r.name for r in layout.rooms if r.category in ("living", "bedroom")} <= lit
 
 
+@pytest.mark.slow
 def test_footprints_of_medium_and_large_homes_vary_and_have_notches_of_15_to_30_percent():
     layouts = [plan_layout(HomeSpec(seed=s, preset=p)) for p, seeds in FOOTPRINTS.items() for s in seeds]
     assert {len(layout.notches) for layout in layouts} == {0, 1, 2}
@@ -271,7 +280,9 @@ MANY = [
 
 
 @pytest.mark.parametrize(
-    "spec", [*SPECS, *(pytest.param(s, marks=pytest.mark.slow) for s in MANY)], ids=lambda s: f"{s.preset}-{s.seed}"
+    "spec",
+    [*QUICK, *(pytest.param(s, marks=pytest.mark.slow) for s in (*SPECS, *MANY) if s not in QUICK)],
+    ids=lambda s: f"{s.preset}-{s.seed}",
 )
 def test_no_passage_is_open_for_one_radius_and_shut_for_the_other(spec: HomeSpec):
     """Gaps of 2 r - 5 cm to 2 r + 10 cm, r = 0.25, are avoided: both discs find the same islands and loops, and hardly

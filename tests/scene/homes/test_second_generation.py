@@ -78,6 +78,7 @@ def test_a_style_changes_looks_and_not_places():
     assert fixed[0] == fixed[1]
 
 
+@pytest.mark.slow
 def test_clutter_changes_only_the_small_things():
     bare, full = home(replace(SPEC, clutter=0.0)), home(replace(SPEC, clutter=2.0))
     assert movable(bare) == 0
@@ -95,7 +96,7 @@ def test_everything_is_of_a_kind_with_its_id():
     assert {scene.assets[i.asset].category for i in scene.instances} <= set(categories_of(scene))
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_things_do_not_float_overlap_or_block(seed: int):
     from h3data_pipelines.assets.scene_reports import validate_scene
 

@@ -72,6 +72,7 @@ def test_every_thing_of_it_has_a_class() -> None:
     assert "stairs" not in categories_of(build_home(HomeSpec(seed=1, generation=2)))
 
 
+@pytest.mark.slow
 def test_furniture_opens_on_both_storeys() -> None:
     scene = build_home(HomeSpec(preset="medium", seed=1, generation=2, storeys=2, articulated=True))
     names = [thing.name for thing in scene.articulations]

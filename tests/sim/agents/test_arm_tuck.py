@@ -138,6 +138,7 @@ def walked(home: Scene, free: FreeSpace, walker: WalkerSpec, steps: int = 500):
     return world, simulate_social_nav(world, policy="stand_still")
 
 
+@pytest.mark.slow
 def test_people_of_our_episodes_keep_out_of_the_home(home: Scene, free: FreeSpace) -> None:
     natural, plain = (
         penetrations(walked(home, free, walker)[1])[1].depth_m.max(1) for walker in (HOME_WALKER, WalkerSpec())

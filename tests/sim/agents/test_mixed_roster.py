@@ -202,7 +202,10 @@ def require_outside(recording: Recording, free: FreeSpace) -> None:
             assert np.hypot(*(free.snap(xz) - xz).T).max() <= 2e-3
 
 
-@pytest.mark.parametrize("agents", MIXES)
+@pytest.mark.parametrize(
+    "agents",
+    [mix if mix in ("robot", "human", "robot,human") else pytest.param(mix, marks=pytest.mark.slow) for mix in MIXES],
+)
 def test_everybody_wanders(home: Scene, free: FreeSpace, agents: str, tmp_path: Any) -> None:
     made = [simulate_wander(home, agents, seed=4, steps=120, free=free) for _ in range(2)]
     assert made[0].columns["state_hash"][-1] == made[1].columns["state_hash"][-1]
@@ -217,8 +220,10 @@ def test_everybody_wanders(home: Scene, free: FreeSpace, agents: str, tmp_path: 
 @pytest.mark.parametrize(
     ("agents", "policy", "partner"),
     [
-        ("robot,robot", "complement,both", "both"), ("human,male_1", "complement", "both,complement"),
-        ("robot", "greedy_nearest", "both"), ("robot,robot,human", "complement", "object_1"),
+        ("robot,robot", "complement,both", "both"),
+        pytest.param("human,male_1", "complement", "both,complement", marks=pytest.mark.slow),
+        ("robot", "greedy_nearest", "both"),
+        pytest.param("robot,robot,human", "complement", "object_1", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_any_agents_rearrange(
@@ -247,6 +252,7 @@ def test_the_same_seed_gives_the_same_bits(home: Scene, free: FreeSpace, drawn: 
     np.testing.assert_array_equal(*hashes)
 
 
+@pytest.mark.slow
 def test_a_person_alone_is_the_solo_episode(drawn: RearrangeEpisode) -> None:
     alone = simulate_rearrange(drawn.played_by("human"), partner="object_1", solo_steps=700)
     solo = simulate_rearrange(drawn, policy="solo", partner="object_1", solo_steps=700)

@@ -234,6 +234,7 @@ def test_recordings_are_verified_and_resumed(episode: RearrangeEpisode) -> None:
         np.testing.assert_array_equal(column, again.columns[name], err_msg=name)
 
 
+@pytest.mark.slow
 def test_homes_with_doors_are_refused() -> None:
     source: Any = EpisodeSource(TASK, "small2-doors:1", spec=RearrangeSpec())
     found = source.sample(0, 0)

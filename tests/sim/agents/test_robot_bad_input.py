@@ -21,7 +21,7 @@ def _generate(task: str, robot: Path, out: Path) -> int:
     return main(["generate", task, *words])
 
 
-@pytest.mark.parametrize("task", ["social_nav", "wander", "rearrange"])
+@pytest.mark.parametrize("task", [pytest.param("social_nav", marks=pytest.mark.slow), "wander", "rearrange"])
 def test_a_robot_without_an_arm(task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = tmp_path / "crate.urdf"
     urdf.write_text(NO_ARM)
@@ -46,6 +46,7 @@ def test_a_base_too_wide_for_every_door(tmp_path: Path, capsys: pytest.CaptureFi
     assert "the robot did not fit: base_discs_m and base_radius_m of its robot.toml" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_robot_with_eight_arm_joints_picks_places_and_is_verified(tmp_path: Path) -> None:
     """A URDF alone, without a robot.toml."""
     cart, out = write_cart(tmp_path / "cart"), str(tmp_path / "out")

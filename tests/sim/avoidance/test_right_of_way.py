@@ -326,7 +326,11 @@ def test_a_hand_that_is_in_somebodys_way_is_taken_back(home: Scene, free: FreeSp
 
 
 @pytest.mark.parametrize(
-    ("agents", "seed", "steps"), [("robot,human,male_1", 3, 1500), ("human,human,human,robot,robot", 4, 200)]
+    ("agents", "seed", "steps"),
+    [
+        pytest.param("robot,human,male_1", 3, 1500, marks=pytest.mark.slow),
+        ("human,human,human,robot,robot", 4, 200),
+    ],
 )
 def test_nobody_touches_anybody(home: Scene, free: FreeSpace, agents: str, seed: int, steps: int) -> None:
     world = rearrange_episode(home, seed=seed, free=free, agents=agents)
@@ -336,6 +340,7 @@ def test_nobody_touches_anybody(home: Scene, free: FreeSpace, agents: str, seed:
     assert made.episode.info["ended"] == ("success" if steps == 1500 else "max_steps")
 
 
+@pytest.mark.slow  # quick: tasks/test_giving_way.py
 def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None:
     """Somebody who does nothing stands in the narrowest place of the other's way, and somebody else looks on."""
     spec = RearrangeSpec(max_steps=1000)  # with nobody in her way she needs 870
@@ -366,6 +371,7 @@ def test_mixes_of_three_to_five_neither_touch_nor_block_each_other() -> None:
 
 
 # --- agents far from each other -----------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.parametrize("agents", [None, pytest.param("robot,robot,human,human", marks=pytest.mark.slow)])
 def test_not_ranking_those_who_are_clear_of_each_other_changes_nothing(
     home: Scene, free: FreeSpace, agents: str | None, monkeypatch: pytest.MonkeyPatch
@@ -375,11 +381,13 @@ def test_not_ranking_those_who_are_clear_of_each_other_changes_nothing(
     for looks in (lambda right_of_way: clear.append(really(right_of_way)) or clear[-1], lambda right_of_way: False):
         monkeypatch.setattr(RightOfWay, "_all_are_clear", looks)
         episode = rearrange_episode(home, seed=4, free=free, agents=agents)
+        episode = replace(episode, spec=replace(episode.spec, max_steps=400))
         hashes.append(simulate_rearrange(episode, solo_steps=1).columns["state_hash"])
     np.testing.assert_array_equal(*hashes)
     assert 0 < sum(clear) < len(clear)
 
 
+@pytest.mark.slow
 def test_robots_work_out_their_paths_only_where_somebody_may_have_to_step_aside(
     home: Scene, free: FreeSpace, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -147,6 +147,7 @@ def _clearance(track: np.ndarray, free: FreeSpace, base: BaseSpec) -> float:
     return float(free.signed_distance(np.stack(places)).min()) - base.disc_radius_m
 
 
+@pytest.mark.slow
 def test_a_cart_wanders_and_follows_by_its_own_discs(
     home: Scene, free: FreeSpace, cart: Robot, cart_file: Path
 ) -> None:

@@ -38,6 +38,7 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 
 # --- pictures -----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_pictures_have_the_sizes_of_the_papers_cameras() -> None:
     names = ("arm_depth", "arm_rgb", *DETECTORS, "front_left_depth", "front_left_rgb")
     for env in (social_nav_env(HOME, observations=names), rearrange_env(HOME, observations=names)):
@@ -348,7 +349,7 @@ def test_environments_say_what_they_are(options: dict[str, Any], words: str) -> 
     assert repr(env) == str(env) == words
 
 
-@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
+@pytest.mark.parametrize("task", ["social_nav", pytest.param("rearrange", marks=pytest.mark.slow)])
 def test_a_bar_tells_how_far_a_first_reset_is(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = [build_home(HomeSpec(preset="small", seed=seed)) for seed in (1, 2)]
 

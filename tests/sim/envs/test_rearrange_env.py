@@ -25,6 +25,7 @@ from sim_kinematic.policies.rearrange import planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, SENSES
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from tests.examples import examples
 from tests.sim.steppers import PAIR, SkillSession
 from tests.sim.steppers import rearrange_env as make_env
 from tests.simulated import simulate_rearrange
@@ -44,14 +45,22 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 
 # --- the checkers of others ---------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("options", [{}, {"level": "low"}, {"agent": "human"}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        pytest.param({"level": "low"}, marks=pytest.mark.slow),
+        pytest.param({"agent": "human"}, marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
 def test_gymnasium_accepts_the_environment(options: dict[str, Any]) -> None:
     name, names = "h3data/Rearrange-v0", OF_PERSON if "agent" in options else OF_ROBOT
     env = gymnasium.make(name, scenes=HOME, observations=names, render_mode="rgb_array", **SIZES, **options)
     check_env(env.unwrapped)
 
 
-@pytest.mark.parametrize("level", ["high", "low"])
+@pytest.mark.parametrize("level", ["high", pytest.param("low", marks=pytest.mark.slow)])
 def test_pettingzoo_accepts_the_environment(level: str) -> None:
     names = dict.fromkeys((*OF_ROBOT, *OF_PERSON))
     parallel_api_test(make_env(HOME, agents=PAIR, level=level, observations=tuple(names), **SIZES), num_cycles=25)  # type: ignore[arg-type]
@@ -84,6 +93,7 @@ def test_it_is_the_episode_that_the_simulator_plays() -> None:
     assert sorted(heights) == heights
 
 
+@pytest.mark.slow
 def test_two_outside_play_the_planners_episode() -> None:
     """Both agents outside, each told by the policy that would have moved it: the same bits."""
     session = SkillSession(HOME, agents=("robot", "human"), interrupts_when_close=False)
@@ -142,6 +152,7 @@ def test_skills_take_their_time_and_what_is_infeasible_takes_a_step() -> None:
     assert info["held_by"].tolist() == [0, -1]
 
 
+@pytest.mark.slow
 def test_time_runs_out() -> None:
     env = make_env(HOME, partner="still")
     env.reset(seed=2)
@@ -283,7 +294,7 @@ def play_at_random(c: dict[str, Any], *, actions: int) -> None:
 
 
 @given(c=configurations)
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=examples(4), deadline=None)
 def test_random_actions_do_no_harm(c: dict[str, Any]) -> None:
     play_at_random(c, actions=12)
 

@@ -29,6 +29,7 @@ from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.sensing.table import SENSORS
 from sim_kinematic.tasks.play import WorldPlay
 from sim_kinematic.tasks.registry import BUILT_IN
+from tests.examples import examples
 from tests.sim.steppers import PAIR, Batch
 from tests.sim.steppers import social_nav_env as make
 from tests.simulated import simulate_social_nav
@@ -334,7 +335,7 @@ def play_at_random(c: dict[str, Any], episodes: int) -> int:
 
 
 @given(c=configurations)
-@settings(max_examples=4)
+@settings(max_examples=examples(4))
 def test_random_actions_do_no_harm(c: dict[str, Any]) -> None:
     play_at_random(c, episodes=2)
 

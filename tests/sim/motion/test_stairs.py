@@ -60,7 +60,13 @@ def test_people_slow_down_before_they_climb() -> None:
         assert np.abs(before).max() <= NATURAL_WALKER.stride.decel_mps2 * STEP_S + 0.02
 
 
-@pytest.mark.parametrize("name", humanoid_names())
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("female_0", "male_1", "child_0") else pytest.param(name, marks=pytest.mark.slow)
+        for name in humanoid_names()
+    ],
+)
 @pytest.mark.parametrize("up", [True, False])
 def test_feet_stand_on_treads_and_clear_their_noses(name: str, up: bool) -> None:
     body, free, track = load_humanoid(name), storeys.floor(), walked(up=up)
@@ -156,6 +162,7 @@ def test_bases_of_habitat_are_refused_on_stairs() -> None:
         world.step([Drive(np.array([[1.0, 0.0]])), Drive(np.zeros((1, 2)))])
 
 
+@pytest.mark.slow
 def test_devices_refuse_stairs_in_one_line() -> None:
     pytest.importorskip("torch")
     from sim_kinematic.tasks.social_nav import TRAINING

@@ -22,6 +22,7 @@ from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.motion.spec import HOME_WALKER, NATURAL_WALKER, STEP_S, StrideSpec, WalkerSpec
 from sim_kinematic.motion.stride import SHOULDER_M, Strider
 from sim_kinematic.tasks.resume import verify
+from tests.examples import examples
 
 RADIUS_M = 0.25
 STRIDE = NATURAL_WALKER.stride
@@ -71,7 +72,7 @@ def test_hardly_anybody_turns_on_the_spot(seed: int) -> None:
     assert (rests & (np.abs(np.diff(track[:, 2])) > 1e-3)).mean() < 0.08
 
 
-@settings(max_examples=5)
+@settings(max_examples=examples(6))
 @given(st.integers(0, 10_000))
 def test_who_faces_a_wall_turns_away_before_they_walk(seed: int) -> None:
     free, rng = floor("small:1"), np.random.default_rng(seed)
@@ -243,7 +244,10 @@ def person_of(recording: Recording) -> tuple[Array, Array]:
     return np.hypot(*np.diff(base[:, [0, 2]], axis=0).T) / STEP_S, turned / STEP_S
 
 
-@pytest.mark.parametrize("task", ["social_nav", "rearrange", "wander"])
+@pytest.mark.parametrize(
+    "task",
+    ["social_nav", *(pytest.param(task, marks=pytest.mark.slow) for task in ("rearrange", "wander"))],
+)
 def test_episodes_with_strides_verify(task: str) -> None:
     recording = h3data.simulate(task, "small:1", seed=2, human_walk="natural", max_steps=900)
     speed, turn = person_of(recording)

@@ -314,6 +314,7 @@ def copied_chooser(world: RearrangeEpisode) -> Network:
     )  # fmt: skip
 
 
+@pytest.mark.slow  # quick: training/test_populations.py
 def test_a_chooser_from_a_file_does_the_task(tmp_path: Path, task_world: RearrangeEpisode) -> None:
     save_network(copied_chooser(task_world), tmp_path / "chooser.npz")
     policy = f"weights:{tmp_path / 'chooser.npz'}"
@@ -324,6 +325,7 @@ def test_a_chooser_from_a_file_does_the_task(tmp_path: Path, task_world: Rearran
     assert done[:4] == ["nav_to_object", "pick", "nav_to_goal", "place"]
 
 
+@pytest.mark.slow
 def test_choosers_that_do_not_fit_are_refused(tmp_path: Path, task_world: RearrangeEpisode, weights: Path) -> None:
     good = copied_chooser(task_world)
     save_network(good, tmp_path / "robot.npz")
@@ -338,11 +340,12 @@ def test_choosers_that_do_not_fit_are_refused(tmp_path: Path, task_world: Rearra
         robot_policy(f"weights:{tmp_path / 'robot.npz'}", objects=4)
 
 
+@pytest.mark.slow
 def test_the_commands_take_choosers(
     tmp_path: Path, task_world: RearrangeEpisode, capsys: pytest.CaptureFixture[str]
 ) -> None:
     save_network(copied_chooser(task_world), tmp_path / "c.npz")
-    common = ["rearrange", "--scenes", "small:1", "--episodes", "1"]
+    common = ["rearrange", "--scenes", "small:1", "--episodes", "1", "--max-steps", "700"]
     policy = f"weights:{tmp_path / 'c.npz'}"
     args = ["evaluate", *common, "--policies", f"still,{policy}", "--partners", "still", "-o", str(tmp_path / "out")]
     assert main(args) == 0

@@ -127,6 +127,7 @@ def test_who_walks_stops_at_the_wall(free: FreeSpace) -> None:
         assert (straight_walk(free, xz, np.zeros(2), 9) == xz).all()
 
 
+@pytest.mark.slow
 def test_she_comes_and_the_expert_gives_way(free: FreeSpace) -> None:
     """The only difference is what she did in the last step: then it backs away at full speed."""
     rng = np.random.default_rng(5)
@@ -193,7 +194,10 @@ def test_the_foreseen_track_is_the_track(home: Scene, free: FreeSpace) -> None:
     np.testing.assert_array_equal([seen[k][1] for k in range(40)], plan_of(world).xz)
 
 
-@pytest.mark.parametrize("policy", ["rollout_expert", "sampling_expert", "future_oracle"])
+@pytest.mark.parametrize(
+    "policy",
+    ["rollout_expert", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sampling_expert", "future_oracle"))],
+)
 def test_experts_find_follow_and_keep_clear(policy: str, home: Scene, free: FreeSpace) -> None:
     spec = SocialNavSpec(max_steps=400)
     worlds = [social_nav_episode(home, seed=seed, spec=spec, free=free) for seed in range(2)]

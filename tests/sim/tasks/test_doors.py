@@ -20,6 +20,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpe
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import Session, simulate
+from tests.examples import examples
 from tests.simulated import REARRANGE, rearrange_episode
 
 
@@ -81,6 +82,7 @@ def test_validation_tells_of_who_goes_through_a_closed_door(recording: Recording
     assert {one.text.split()[4].rstrip(",") for one in found} <= opened
 
 
+@pytest.mark.slow  # quick: the same of a drawer
 def test_it_verifies_and_continues_while_a_door_moves(recording: Recording) -> None:
     assert verify(recording).difference is None
     moving = int(np.argmax((np.diff(recording.columns["scene.joint_pos"], axis=0) != 0).any(1))) + 10
@@ -112,7 +114,7 @@ def test_homes_that_do_not_open_have_no_trace_of_it() -> None:
 def test_things_that_both_cannot_get_at_are_not_drawn(home: Scene, free: FreeSpace, episode: RearrangeEpisode) -> None:
     """Whatever is drawn is reached with all doors open, whichever of them are closed."""
     ways = Doorways.of(home, free).open_floor
-    for seed in range(2):
+    for seed in range(examples(3)):
         _, targets = draw_episode(home, free, seed, RearrangeSpec(), episode.robot, episode.human)
         for target in targets:
             ends = np.array([target.start[[0, 2]], target.goal[[0, 2]]])
@@ -127,6 +129,7 @@ def play_on(session: Session, command: object) -> None:
         session.step()
 
 
+@pytest.mark.slow
 def test_opening_a_door_gives_the_room_behind_it_and_closing_takes_it_back(
     home: Scene, episode: RearrangeEpisode
 ) -> None:

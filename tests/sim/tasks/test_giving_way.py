@@ -40,6 +40,7 @@ def test_rules_say_whether_people_give_way() -> None:
         assert rules_from_json(rules_to_json(spec)) == spec
 
 
+@pytest.mark.slow
 def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSpace) -> None:
     for spec, heeds in ((RearrangeSpec(), True), (HABITAT, False)):
         episode = rearrange_episode(home, seed=1, spec=spec, free=free)
@@ -49,7 +50,7 @@ def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSp
         assert play.encounters.avoids(person, play.robots[0]) == heeds  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -> None:
     episode = rearrange_episode(home, seed=seed, free=free)
     play = REARRANGE.play(episode, REARRANGE.assign(episode, {"robot": "greedy_nearest", "human": "both"}))
@@ -65,6 +66,7 @@ def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -
     assert not play.collision  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeSpace) -> None:
     """They were at 1.3 m/s from one step to the next."""
     episode = rearrange_episode(home, seed=1, free=free)
@@ -82,6 +84,7 @@ def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeS
     assert np.abs(np.diff(speeds)).max() < 0.15
 
 
+@pytest.mark.slow
 def test_a_person_who_is_done_leaves_the_doorway(tmp_path: Path) -> None:
     """The person stood in the bathroom's doorway for 300 steps before the robot that carried the last thing."""
     h3data.generate(

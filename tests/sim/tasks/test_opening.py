@@ -124,12 +124,12 @@ def test_recordings_come_back_from_both_stores(recording: Recording, tmp_path: P
         assert again.columns["state_hash"][-1] == recording.columns["state_hash"][-1]
 
 
+@pytest.mark.slow  # quick: the same of doors
 def test_homes_that_do_not_open_have_no_trace_of_it() -> None:
     plain = build_home(HomeSpec(seed=2))
-    played = simulate(
-        REARRANGE, rearrange_episode(plain, seed=1, spec=RearrangeSpec(max_steps=900)).only(1), {"human": "still"},
-        info={"solo_steps": 1},
-    )  # fmt: skip
+    episode = rearrange_episode(plain, seed=1, spec=RearrangeSpec(max_steps=900)).only(1)
+    short = replace(episode, spec=replace(episode.spec, max_steps=60))
+    played = simulate(REARRANGE, short, {"human": "still"}, info={"solo_steps": 1})
     assert "scene.joint_pos" not in played.columns
     assert not set(played.agents[0].skill_names) & {"open", "close"}
 
@@ -354,6 +354,7 @@ def test_people_who_keep_their_track_open_what_they_opened(episode: RearrangeEpi
 
 
 # --- exports ------------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_gltf_animates_the_drawer_and_what_lies_in_it(recording: Recording, home: Scene, tmp_path: Path) -> None:
     write_mcap(recording, tmp_path / "e.mcap")
     document, _ = unpack_glb(h3data.export(tmp_path / "e.mcap", tmp_path / "e.glb", to="gltf").read_bytes(), "e.glb")
@@ -362,6 +363,7 @@ def test_gltf_animates_the_drawer_and_what_lies_in_it(recording: Recording, home
     assert not {name for name in joints_of(home).names if name != DRAWER} & moved
 
 
+@pytest.mark.slow
 def test_gfx_replays_move_the_drawer_as_a_rigid_body(recording: Recording, home: Scene, tmp_path: Path) -> None:
     write_mcap(recording, tmp_path / "e.mcap")
     path = h3data.export(tmp_path / "e.mcap", tmp_path / "e.gfx_replay.json", to="gfx-replay")

@@ -78,6 +78,7 @@ class Scripted:
 
 
 # --- episodes ---------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_episodes_are_fair(home: Scene, free: FreeSpace) -> None:
     """Objects and goals lie on receptacles of two pieces of furniture, touch nothing, and both agents can get at them."""
     surfaces = {f"{i.name}|{r.name}": instance_matrix(i) @ np.append(r.center, 1) for i, r in home.receptacles()}
@@ -290,6 +291,7 @@ def test_populations_draw_all_their_members() -> None:
     assert {"complement", "same_object", "still"} <= set(ROBOT_POLICIES)
 
 
+@pytest.mark.slow
 def test_specialists_depend_on_their_partner(world: RearrangeEpisode) -> None:
     """As the paper's Plan-Pop 1: fine with who does the other object, lost with who does the same."""
     done = {

@@ -52,7 +52,13 @@ def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: i
 
 
 # --- verify -----------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize(
+    "policy",
+    [
+        policy if policy in ("rollout_expert", "random") else pytest.param(policy, marks=pytest.mark.slow)
+        for policy in POLICIES
+    ],
+)
 def test_a_recording_comes_out_again_through_both_stores(policy: str, tmp_path: Path) -> None:
     recording = simulated(6, policy=policy, told=policy == "random")
     with DatasetWriter(tmp_path / "ds") as out:

@@ -82,6 +82,7 @@ def known(world: RearrangeEpisode, episode: Recording) -> Callable[[int], Record
 
 
 # --- verify -----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow  # quick: test_resume
 def test_a_recording_comes_out_again_through_both_stores(
     episode: Recording, wandering: Recording, tmp_path: Path
 ) -> None:
@@ -99,10 +100,15 @@ def test_a_recording_comes_out_again_through_both_stores(
 @pytest.mark.parametrize(
     ("column", "value"),
     [
-        ("agent_0.base_pose", 0.125), ("agent_0.joint_pos", 0.125), ("agent_1.joint_quat", 0.5), ("object_pose", 1.0),
-        ("agent_1.grasp_body", 3), ("metrics.reward", 0.0), ("state_hash", np.uint64(1)),
+        ("agent_0.base_pose", 0.125),
+        pytest.param("agent_0.joint_pos", 0.125, marks=pytest.mark.slow),
+        pytest.param("agent_1.joint_quat", 0.5, marks=pytest.mark.slow),
+        pytest.param("object_pose", 1.0, marks=pytest.mark.slow),
+        pytest.param("agent_1.grasp_body", 3, marks=pytest.mark.slow),
+        pytest.param("metrics.reward", 0.0, marks=pytest.mark.slow),
+        ("state_hash", np.uint64(1)),
     ],
-)  # fmt: skip
+)
 def test_the_first_difference_is_named(episode: Recording, column: str, value: Any) -> None:
     found = verify(changed(episode, column, 40, value))
     assert found.difference is not None
@@ -205,6 +211,7 @@ def test_a_policy_may_be_any_object(world: RearrangeEpisode, episode: Recording)
     assert resume(other, 90, policy="complement").episode.info["policy"] == "complement"
 
 
+@pytest.mark.slow
 def test_what_a_crash_left_can_be_continued(episode: Recording) -> None:
     left = {k: v for k, v in episode.episode.info.items() if k != "ended"}
     for rows in (1, 150):
@@ -216,6 +223,7 @@ def test_what_a_crash_left_can_be_continued(episode: Recording) -> None:
         require_same(resume(part, rows), episode)
 
 
+@pytest.mark.slow
 def test_nothing_follows_steps_that_do_not_come_out_again(episode: Recording, wandering: Recording) -> None:
     for recording in (episode, wandering):
         broken = changed(recording, "agent_0.base_pose", 10, 0.0)
@@ -254,6 +262,7 @@ def test_the_person_keeps_her_track_and_it_says_so(episode: Recording, step: int
     require_same(resume(other, step + 40), other)
 
 
+@pytest.mark.slow
 def test_she_takes_only_what_is_there(world: RearrangeEpisode) -> None:
     """A robot that is at her object first keeps it; nobody is at two places, nothing is held twice."""
     alone = simulate_rearrange(world, policy="still", partner="object_1", solo_steps=500)
@@ -361,6 +370,7 @@ def test_an_empty_recording_has_nothing_to_differ_in(episode: Recording, wanderi
 
 
 # --- command ----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow  # quick: test_driven_person verifies by the command
 def test_the_command(
     episode: Recording, wandering: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

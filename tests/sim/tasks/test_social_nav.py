@@ -23,6 +23,7 @@ from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps, steps_to_find
 from sim_kinematic.tasks.social_nav.episode import sample_pair_starts as draw_starts
+from tests.examples import examples
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 
@@ -137,15 +138,15 @@ def test_sharp_corners_go_round_what_the_path_goes_round(free: FreeSpace) -> Non
 
 
 def test_ramming_ends_the_episode(home: Scene, free: FreeSpace) -> None:
-    recording = simulate_social_nav(world(home, free, max_steps=900), policy=ram)
+    recording = simulate_social_nav(world(home, free, max_steps=450), policy=ram)
     assert recording.episode.info["ended"] == "collision"
     collision = recording.columns["metrics.collision"]
     assert collision[-1]
     assert not collision[:-1].any()
     assert recording.events[-1].kind == "collision"
     assert recording.columns["metrics.dist_agents"][-1] < 1.2
-    on = simulate_social_nav(world(home, free, max_steps=900, end_on_collision=False), policy=ram)
-    assert len(on) == 900
+    on = simulate_social_nav(world(home, free, max_steps=450, end_on_collision=False), policy=ram)
+    assert len(on) == 450
 
 
 def test_the_expert_finds_and_follows(home: Scene, free: FreeSpace) -> None:
@@ -316,7 +317,7 @@ def test_the_oracle_meets_one_who_stands_and_not_one_out_of_time(
 
 def test_no_policy_is_faster_than_the_oracle(home: Scene, free: FreeSpace) -> None:
     """``l`` is a minimum: whoever finds her in step p had ``r_p <= p``, so ``l <= p + 1``."""
-    for seed in range(6):
+    for seed in range(examples(6)):
         recording = simulate_social_nav(world(home, free, seed=seed, max_steps=400))
         found = next(e.step for e in recording.events if e.kind == "found") + 1
         assert 1 < recording.episode.info["oracle_min_steps"] <= found + 1

@@ -165,7 +165,7 @@ def test_an_episode_of_another_home_is_refused() -> None:
 def test_generate_plays_a_set_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "two.toml"
     file.write_text(SET_TEXT)
-    options = ("generate", "social_nav", "--scenes", file, "--max-steps", "40", "-o")
+    options = ("generate", "social_nav", "--scenes", file, "--max-steps", "12", "-o")
     whole = run_json(capsys, *options, tmp_path / "whole")
     assert whole["episodes"] == 6
     assert len(set(whole["state_hashes"])) == 6
@@ -181,7 +181,7 @@ def test_generate_plays_a_set_and_says_so(tmp_path: Path, capsys: pytest.Capture
     assert not set(others["state_hashes"]) & set(whole["state_hashes"])
     assert main([*map(str, options), str(tmp_path / "text"), "--seed", "9", "--episodes", "1"]) == 0
     assert "1 episode in the scenes of two/eval, drawn with seed 9" in capsys.readouterr().out
-    one = run_json(capsys, "generate", "social_nav", "--scenes", f"{file}#b", "--max-steps", "40", "-o", tmp_path / "b")
+    one = run_json(capsys, "generate", "social_nav", "--scenes", f"{file}#b", "--max-steps", "12", "-o", tmp_path / "b")
     assert one["state_hashes"] == whole["state_hashes"][1::2]
     file.write_text(SET_TEXT.replace("4.0", "3.0"))
     assert "Cannot resume" in run_json(capsys, *options, tmp_path / "parts", "--resume", code=2)["error"]
@@ -233,6 +233,7 @@ def test_an_exported_set_plays_the_same_from_its_files(tmp_path: Path, capsys: p
     assert none["episodes"] == []
 
 
+@pytest.mark.slow
 def test_a_home_that_is_built_differently_now_is_taken_from_its_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from sim_kinematic.tasks.wander import Wander
 STEPS = 450
 
 
+@lru_cache(maxsize=2)
 def wander(number: int, agents: str, *, steps: int = STEPS, human: WalkerSpec | None = None) -> Recording:
     """The episode of a validation home with its number as seed."""
     spec = SocialNavSpec(max_steps=steps) if human is None else SocialNavSpec(max_steps=steps, human=human)
@@ -34,7 +37,7 @@ def longest_stand(recording: Recording, agent: int) -> int:
     ("number", "agents"),
     # each had contacts, or somebody who stood for more than 200 steps, before agents had a right of way
     [
-        (0, "robot,human,male_1"),
+        pytest.param(0, "robot,human,male_1", marks=pytest.mark.slow),
         pytest.param(3, "robot,robot,human,male_1", marks=pytest.mark.slow),
         (3, "robot,human,male_1"),
     ],
@@ -45,6 +48,7 @@ def test_nobody_touches_anybody_or_stays_stuck(number: int, agents: str) -> None
     assert max(longest_stand(recording, k) for k in range(len(recording.agents))) < 130
 
 
+@pytest.mark.slow
 def test_people_who_turn_on_the_spot_let_each_other_pass() -> None:
     recording = wander(1, "robot,human,male_1", human=HOME_WALKER)
     assert not recording.columns["metrics.collision"].any()

@@ -101,6 +101,7 @@ def test_the_environment_shows_the_arms_picture(device: Any, monkeypatch: pytest
     assert not np.array_equal(after["arm_depth"].cpu().numpy(), seen["arm_depth"])
 
 
+@pytest.mark.slow
 def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """On the device as in the training worlds of a machine without one, where the CPU renders."""
     name, renderer = device
@@ -126,6 +127,7 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
     assert levels_apart(seen, want) < 5e-3
 
 
+@pytest.mark.slow
 def test_two_cameras_in_turn_upload_nothing(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The detector's picture, then that of the colours: nothing but what a CUDA graph holds."""
     name, renderer = device

@@ -34,6 +34,7 @@ from sim_kinematic.torch.rearrange.bank import RearrangeBank  # noqa: E402
 from sim_kinematic.torch.rearrange.observations import OBSERVED, View, observed  # noqa: E402
 from sim_kinematic.torch.rearrange.state import DONE, FAILED, FREE, Play  # noqa: E402
 from sim_kinematic.torch.rearrange.worlds import RearrangeTensors  # noqa: E402
+from tests.examples import examples  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 HOMES = ["h3-homes/val#0", "h3-homes/val#1"]
@@ -150,6 +151,7 @@ def count_spans(pair: Pair) -> Counter[str]:
 
 
 # --- against the CPU ----------------------------------------------------------------------------------------------------
+@pytest.mark.slow  # quick: what agents are shown; training/test_population_worlds.py
 def test_the_same_choices_give_the_episodes_of_the_cpu(episodes: list[RearrangeEpisode]) -> None:
     pair, rng = Pair(episodes, outside=KINDS), np.random.default_rng(1)
     while not all(turns.over for turns in pair.turns):
@@ -162,6 +164,7 @@ def test_the_same_choices_give_the_episodes_of_the_cpu(episodes: list[RearrangeE
         assert spans[what], f"nothing was ever: {what}"
 
 
+@pytest.mark.slow  # quick: the same choices
 def test_planners_are_those_of_the_cpu(episodes: list[RearrangeEpisode]) -> None:
     through = [replace(e, spec=replace(e.spec, end_on_collision=False, max_steps=280)) for e in episodes]
     ended, spans = Counter[str](), Counter[str]()
@@ -210,7 +213,7 @@ def test_what_agents_are_shown_is_what_the_cpu_shows(episodes: list[RearrangeEpi
                 if name in names:
                     np.testing.assert_allclose(mine[name][n], seen[name], rtol=0, atol=1e-5, err_msg=name)
 
-    for step in range(90):
+    for step in range(examples(135)):
         pair.step(pair.random(rng), compare if step % 3 == 0 and not pair.turns[0].over else None)
     assert len(off) > 100
     assert np.quantile(off, 0.5) < 0.02
@@ -233,6 +236,7 @@ def test_the_ends_of_skills_are_shown() -> None:
     assert observed(View.of(pair.sim, pair.state, "robot"), ("last_done",))["last_done"][0].nonzero().tolist() == [[0]]
 
 
+@pytest.mark.slow
 def test_float32_plays_nearly_the_same(episodes: list[RearrangeEpisode], bank: RearrangeBank) -> None:
     sims = [
         RearrangeTensors(bank, device="cpu", dtype=t, planners=KINDS, partner="both")
@@ -249,7 +253,8 @@ def test_float32_plays_nearly_the_same(episodes: list[RearrangeEpisode], bank: R
 
 
 # --- the next episode ---------------------------------------------------------------------------------------------------
-def test_a_world_that_is_over_begins_its_next_episode(bank: RearrangeBank) -> None:
+def test_a_world_that_is_over_begins_its_next_episode(episodes: list[RearrangeEpisode]) -> None:
+    bank = RearrangeBank.of([replace(e, spec=replace(e.spec, max_steps=60)) for e in episodes])
     sim = RearrangeTensors(bank, device="cpu", partner="still")
     first, nothing = torch.arange(len(bank)) - 1, torch.full((len(bank),), FREE)
     play = sim.start(sim.before_the_first(first))
@@ -268,6 +273,7 @@ def test_a_world_that_is_over_begins_its_next_episode(bank: RearrangeBank) -> No
         assert torch.equal(mine, new)
 
 
+@pytest.mark.slow
 def test_worlds_without_repeats_stay_as_they_ended(bank: RearrangeBank) -> None:
     sim = RearrangeTensors(bank, device="cpu", planners=KINDS, partner="both", repeats=False)
     nothing = torch.full((len(bank),), FREE)
@@ -302,7 +308,7 @@ def test_runs_repeat_and_differ_by_seed(bank: RearrangeBank) -> None:
         env, rng = env_of(bank), np.random.default_rng(0)
         shown, _ = env.reset(seed=seed)
         rows = [shown]
-        rows += [env.step(torch.tensor(rng.integers(0, 13, 5)))[0] for _ in range(40)]
+        rows += [env.step(torch.tensor(rng.integers(0, 13, 5)))[0] for _ in range(20)]
         return torch.cat([row["obj_gps_compass"] for row in rows])
 
     assert torch.equal(played(4), played(4))

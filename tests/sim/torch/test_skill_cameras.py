@@ -53,6 +53,7 @@ def commands_of(kind: str, step: int, rng: np.random.Generator) -> np.ndarray:
     return command if step else np.append(np.zeros(9), 1.0)
 
 
+@pytest.mark.slow  # quick: each world sees the home of its episode
 def test_it_sees_what_it_sees_on_the_cpu(device: Any) -> None:  # noqa: F811
     """With the arm folded, reaching and waving, and with an object in the hand: one that was taken as it lay, and one that an
     episode begins with."""
@@ -107,7 +108,9 @@ class OnTheDevice(TorchDispatchMode):
         return made
 
 
-@pytest.mark.parametrize("skill", SKILL_NAMES)
+@pytest.mark.parametrize(
+    "skill", ["pick", *(pytest.param(skill, marks=pytest.mark.slow) for skill in SKILL_NAMES if skill != "pick")]
+)
 def test_a_step_and_its_frames_never_leave_the_device(skill: Skill) -> None:
     episode = episode_of("small:1")
     starts = draw_starts(episode, skill, 2, np.random.default_rng(1), path_m=(0.0, 5.0))
@@ -129,6 +132,7 @@ def test_a_step_and_its_frames_never_leave_the_device(skill: Skill) -> None:
     assert wanted.shape == action.shape
 
 
+@pytest.mark.slow  # quick: test_cameras.py
 def test_each_world_sees_the_home_of_its_episode(device: Any) -> None:  # noqa: F811
     """Homes with other objects that may be moved, and episodes that follow each other; as on a machine without a GPU."""
     name, renderer = device

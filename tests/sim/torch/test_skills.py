@@ -77,7 +77,9 @@ def test_all_links_are_where_the_robots_kinematics_have_them(name: str) -> None:
     np.testing.assert_allclose(found.numpy(), frames, atol=1e-9)
 
 
-@pytest.mark.parametrize("skill", ["nav", "pick", "place"])
+@pytest.mark.parametrize(
+    "skill", ["pick", *(pytest.param(skill, marks=pytest.mark.slow) for skill in ("nav", "place"))]
+)
 def test_a_step_is_that_of_the_lower_layer(episode: RearrangeEpisode, skill: Skill) -> None:
     """Random commands, some of them beyond the limits: base, joints, grip and objects are where the CPU has them, and turned as
     there."""

@@ -63,7 +63,11 @@ def chase(gps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 # --- against the batch --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("rules", "homes"),
-    [(RULES, HOMES), (STRIDES, HOMES), (STRIDES, ["h3-homes/train#0", "h3-homes-v2/train#6"])],
+    [
+        (RULES, HOMES),
+        pytest.param(STRIDES, HOMES, marks=pytest.mark.slow),
+        (STRIDES, ["h3-homes/train#0", "h3-homes-v2/train#6"]),
+    ],
     ids=["paper", "natural", "both generations"],
 )
 def test_the_same_actions_give_the_episodes_of_the_batch(rules: Any, homes: list[str]) -> None:
@@ -158,6 +162,7 @@ def test_her_way_points_last_for_the_whole_episode(bank: EpisodeBank) -> None:
     assert 2 <= last < bank.way_points.shape[1]
 
 
+@pytest.mark.slow
 def test_a_collision_ends_the_episode_where_the_rules_say_so(bank: EpisodeBank) -> None:
     rules = replace(RULES, end_on_collision=True, max_steps=500)
     sim = SocialNavTensors(bank, device="cpu", spec=rules)

@@ -49,7 +49,7 @@ def to_the_thing(player: Player) -> None:
     player.send(k="move", f=0.0, t=0.0)
 
 
-@pytest.mark.parametrize("seat", ["person", "robot"])
+@pytest.mark.parametrize("seat", ["person", pytest.param("robot", marks=pytest.mark.slow)])
 def test_the_tutorial_goes_step_by_step(tmp_path: Path, seat: str):
     game = table(tmp_path, app="tutorial", partner=None, seats=(seat,)).begin(FIRST)
     player = Player(game)

@@ -106,7 +106,8 @@ def test_a_whole_episode_verifies_from_raw_input(tmp_path: Path):
     assert recording.episode.info["ended"] == "success"
 
 
-@pytest.mark.parametrize("app", ["rearrange", "social_nav"])
+@pytest.mark.slow
+@pytest.mark.parametrize("app", ["rearrange", pytest.param("social_nav", marks=pytest.mark.slow)])
 def test_nobody_walks_through_the_robot(tmp_path: Path, app: str):
     """A person who walks straight at the robot is stopped by its discs, or slides along them; that verifies from raw input."""
     still = {"partner": "still"} if app == "rearrange" else {}
@@ -149,6 +150,7 @@ def robot_discs(game: LiveGame) -> tuple[tuple[float, ...], float]:
     return base.disc_offsets_m, base.disc_radius_m
 
 
+@pytest.mark.slow
 def test_a_game_goes_on_from_its_unfinished_log(tmp_path: Path):
     player = Player(table(tmp_path).begin(GameOrder(index=0, name="000000")))
     player.send(k="move", f=1.0, t=0.2)
@@ -170,6 +172,7 @@ def test_a_game_goes_on_from_its_unfinished_log(tmp_path: Path):
     assert not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_players_walk_as_a_motion_file_says(tmp_path: Path):
     file = tmp_path / "walk.npz"
     save_motion(walk(), file)
@@ -282,6 +285,7 @@ def test_people_recorded_by_clips_walk_with_planted_feet(tmp_path: Path):
     np.testing.assert_allclose(pelvis, expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_steering_the_robot(tmp_path: Path):
     game = table(tmp_path, seats=("robot",), partner="object_2").begin(GameOrder(index=0, name="000000"))
     player = Player(game)
@@ -297,7 +301,14 @@ def test_steering_the_robot(tmp_path: Path):
     assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
 
 
-@pytest.mark.parametrize("seats", [("person", "robot"), ("person", "person"), ("person", "person", "spectator")])
+@pytest.mark.parametrize(
+    "seats",
+    [
+        pytest.param(("person", "robot"), marks=pytest.mark.slow),
+        pytest.param(("person", "person"), marks=pytest.mark.slow),
+        ("person", "person", "spectator"),
+    ],
+)
 def test_two_people_in_one_world(tmp_path: Path, seats: tuple[str, ...]):
     game = table(tmp_path, seats=seats, partner=None).begin(GameOrder(index=0, name="000000"))
     assert len(game.drivers) == 2
@@ -347,6 +358,7 @@ def test_an_app_of_ones_own(tmp_path: Path):
     assert verify(recording).difference is None
 
 
+@pytest.mark.slow
 def test_a_rehearsal_compiles_what_a_game_needs(tmp_path: Path):
     for changes in ({}, {"app": "social_nav", "partner": None}, {"seats": ("robot",), "partner": "both"}):
         rehearse(table(tmp_path, **changes))

@@ -45,6 +45,7 @@ def joints_told(player: Player, *, whole: bool) -> dict[int, float]:
     return dict(struct.iter_unpack("<Hf", data[at:]))
 
 
+@pytest.mark.slow  # quick: what cannot be opened; tasks/test_opening.py
 def test_a_drawer_is_opened_emptied_and_closed_and_the_recording_verifies(tmp_path: Path):
     game = opening(tmp_path).begin(GameOrder(index=0, name="000000"))
     player, still = Player(game), 0
@@ -108,6 +109,7 @@ def test_a_game_that_was_killed_while_a_drawer_opened_goes_on(tmp_path: Path):
     assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
 
 
+@pytest.mark.slow
 def test_a_played_robot_opens_and_takes(tmp_path: Path):
     game = opening(tmp_path, seats=("robot",), partner="solo").begin(GameOrder(index=0, name="000000"))
     player = Player(game)
@@ -120,6 +122,7 @@ def test_a_played_robot_opens_and_takes(tmp_path: Path):
     assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
 
 
+@pytest.mark.slow
 def test_what_cannot_be_opened(tmp_path: Path):
     player = Player(LiveGame(opening(tmp_path), 0))
     player.play()
@@ -139,6 +142,7 @@ def test_what_cannot_be_opened(tmp_path: Path):
         plain.send(k="open", j=0)
 
 
+@pytest.mark.slow
 def test_the_page_learns_of_joints_only_where_they_move(tmp_path: Path):
     def manifest(**changes: object) -> dict[str, object]:
         game = LiveGame(opening(tmp_path, **changes), 0)

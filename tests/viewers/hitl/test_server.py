@@ -111,6 +111,7 @@ async def seats(link: str) -> None:
         await other.until(lambda: other.close_code == 1008)
 
 
+@pytest.mark.slow  # a server of several processes
 def test_seats_belong_to_browsers_and_nonsense_is_shown_the_door(tmp_path: Path):
     with Server(tmp_path / "rec") as server:
         asyncio.run(seats(server.links[0]))

@@ -38,7 +38,10 @@ def other_storey(game: LiveGame, xz: np.ndarray) -> list[float]:
 
 
 # the robot is as long as it is: where it cannot turn on the spot, it is led nowhere, on any floor; there it stands well
-@pytest.mark.parametrize(("seat", "episode", "near_m"), [("person", 0, 0.05), ("robot", 2, 0.4)])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seat", "episode", "near_m"), [("person", 0, 0.05), pytest.param("robot", 2, 0.4, marks=pytest.mark.slow)]
+)
 def test_stairs_are_climbed_by_a_click(tmp_path: Path, seat: str, episode: int, near_m: float):
     game = table(tmp_path, scenes=HOME, seats=(seat,), partner="solo").begin(GameOrder(index=episode, name="000000"))
     player, free = Player(game), game.session.episode.free
@@ -75,6 +78,7 @@ def test_the_page_is_told_how_high_the_floor_is(tmp_path: Path):
     assert assets.manifest(level.session, level.app, {})["heights"] == []
 
 
+@pytest.mark.slow
 def test_people_recorded_by_clips_are_sent_on_the_treads_as_replays_show_them(tmp_path: Path):
     game = LiveGame(table(tmp_path, app="social_nav", scenes=HOME, partner="still"), 0)
     player, robot = Player(game), game.session.episode.roster[0].body

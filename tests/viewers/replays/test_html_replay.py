@@ -165,6 +165,7 @@ def test_things_that_move_goals_and_progress_are_there(tidied: Recording, tmp_pa
     assert any("started" in event["text"] for event in about["events"])
 
 
+@pytest.mark.slow
 def test_doors_and_drawers_are_moved_by_their_joints(tmp_path: Path) -> None:
     scene = build_home(HomeSpec(seed=2, articulated=True))
     episode = rearrange_episode(scene, seed=2)
@@ -201,6 +202,7 @@ def _motions(joints: list[dict[str, Any]], positions: np.ndarray) -> list[np.nda
     return out
 
 
+@pytest.mark.slow
 def test_what_is_absent_is_absent(tidied: Recording, tmp_path: Path) -> None:
     poses, base = tidied.columns["object_pose"].copy(), tidied.columns["agent_0.base_pose"].copy()
     poses[5:9, 0], base[:4] = np.nan, np.nan
@@ -212,6 +214,7 @@ def test_what_is_absent_is_absent(tidied: Recording, tmp_path: Path) -> None:
     assert np.flatnonzero(np.isnan(found["agent_0.base"]).all(1)).tolist() == [0, 1, 2, 3]
 
 
+@pytest.mark.slow
 def test_contacts_are_marked_and_listed(walk: Recording, tmp_path: Path) -> None:
     touch = np.zeros(len(walk), np.bool_)
     touch[20:23] = touch[40] = True
@@ -223,6 +226,7 @@ def test_contacts_are_marked_and_listed(walk: Recording, tmp_path: Path) -> None
     assert np.allclose(about["contacts"][0]["point"], middle, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_long_recordings_keep_every_second_state(
     walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -248,6 +252,7 @@ def test_1500_steps_of_a_medium_home_take_less_than_3_mb(tmp_path: Path) -> None
     assert 900_000 < written.bytes < 1_500_000, "1.1 MB when this was written; the limit is 3"
 
 
+@pytest.mark.slow
 def test_large_homes_are_thinned(
     walk: Recording, walked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -307,11 +312,13 @@ def test_no_recorded_string_becomes_markup(hostile: Recording, tmp_path: Path) -
     assert about["stage"]["agents"][0]["name"].endswith(HOSTILE)
 
 
+@pytest.mark.slow
 def test_the_same_recording_gives_the_same_file(walk: Recording, walked: Path, tmp_path: Path) -> None:
     assert write_html(walk, tmp_path / "again.html").path.read_bytes() == walked.read_bytes()
 
 
 # --- refused ----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_existing_files_are_kept(walk: Recording, tmp_path: Path) -> None:
     (tmp_path / "e.html").write_text("mine")
     with pytest.raises(InputError, match="already exists"):
@@ -334,6 +341,7 @@ def log(walk: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_view_writes_html_and_opens_it(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -347,6 +355,7 @@ def test_view_writes_html_and_opens_it(
     assert opened == [out.resolve().as_uri()]
 
 
+@pytest.mark.slow
 def test_a_machine_without_a_browser_says_so(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

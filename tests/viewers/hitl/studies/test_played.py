@@ -29,7 +29,8 @@ FORMS = [
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return play_study(tmp_path_factory.mktemp("study"), 2, unfinished=1, forms=FORMS)
+    conditions = [{"name": name, "partner": name, "rules": {"objects": 1}} for name in ("solo", "still")]
+    return play_study(tmp_path_factory.mktemp("study"), 2, unfinished=1, forms=FORMS, conditions=conditions)
 
 
 def copied(study: Path, folder: Path) -> Path:
@@ -75,6 +76,7 @@ def test_the_report_has_the_papers_table_and_the_questionnaires(study: Path, tmp
     assert NOTHING["text"] in (tmp_path / "all" / "answers.csv").read_text().replace('""', '"')
 
 
+@pytest.mark.slow
 def test_episodes_that_came_late_are_left_out_and_counted(study: Path, tmp_path: Path) -> None:
     path = copied(study, tmp_path / "late")
     db = sqlite3.connect(tmp_path / "late" / "tiny-1" / "study.sqlite")
