@@ -197,7 +197,7 @@ class _Worlds:
         self._rewards.index_copy_(0, self._step, self._play.reward[None])
         self._step.add_(1)
 
-    def _paths(self) -> tuple[Tensor, ...]:
+    def _paths(self) -> tuple[Tensor, Tensor, Tensor]:
         paths = Paths.of(self._sim, self._play, self._sim.tables.at(self._play.episode))
         return paths.xz, paths.lengths, paths.ahead
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
-from h3data.geometry import Array
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
@@ -35,7 +34,7 @@ class KeptFloor:
 
     sdf: NDArray[np.float32]
     """Distance to the nearest obstacle at cell centres, [nx, nz] [m]."""
-    origin: Array
+    origin: NDArray[np.float64]
     cell_m: float
     floor_y: float
 
