@@ -389,13 +389,13 @@ def test_it_learns_what_pays(name: str) -> None:
     rng, settings = np.random.default_rng(3), replace(SMALL, epochs=4, rate=1e-2, kl_most=0.3)
     learner = ChooserLearner(settings, name, seed=0)
     shares = []
-    for update in range(6):
+    for update in range(10):
         network = learner.network()
         played = [fabricated(rng, wanted=5, network=network) for _ in range(4)]
         assert not any((d.chosen == 3).any() for d in played)
         shares.append(np.mean([(d.chosen == 5).mean() for d in played]))
         every = Batch.joined([Batch((), {name: d}) for d in played]).decisions[name]
-        row = learner.update(every, plan_at(settings, update / 6, update), update=update)
+        row = learner.update(every, plan_at(settings, update / 10, update), update=update)
         assert np.isfinite(list(row.values())).all()
     assert np.mean(shares[-2:]) > shares[0] + 0.3
 
