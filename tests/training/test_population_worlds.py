@@ -24,7 +24,8 @@ from h3data_training.populations.playing import Decisions, Job, discounted  # no
 from h3data_training.populations.pool import draw_pool, episodes_of  # noqa: E402
 from h3data_training.populations.run import CHECKPOINT, POLICY, train  # noqa: E402
 from h3data_training.populations.settings import ROBOT, PopulationSettings  # noqa: E402
-from h3data_training.populations.worlds import TensorPlayers, arrays_of, encode, scored  # noqa: E402
+from h3data_training.populations.tensor_choosers import arrays_of, encode, scored  # noqa: E402
+from h3data_training.populations.worlds import TensorPlayers  # noqa: E402
 from sim_kinematic.motion.spec import HOME_WALKER, OracleSpec  # noqa: E402
 from sim_kinematic.policies.assignment import AssignedPolicy  # noqa: E402
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, ChooserNetwork, encoded  # noqa: E402

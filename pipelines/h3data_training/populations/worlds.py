@@ -7,38 +7,27 @@ What an update plays follows from the weights, the seed, and the numbers of its 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, ParamSpec, TypeVar
+from collections.abc import Callable, Sequence
+from typing import ParamSpec, TypeVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from h3data_training.populations.playing import Batch, Decisions, Job, Played
 from h3data_training.populations.settings import ROBOT
+from h3data_training.populations.tensor_choosers import Row, TensorChooser
 from sim_kinematic.motion.randomness import episode_seed
-from sim_kinematic.policies.choosers.chooser_network import (
-    ENCODINGS,
-    OBSERVATIONS,
-    SKILLS_WITH_OBJECT,
-    ChooserNetwork,
-    hides,
-    rest_count,
-)
-from sim_kinematic.policies.choosers.recurrent_chooser import ALERT_M, ALERT_STEPS
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.torch.graph import can_fuse, captured, fused, overwrite
 from sim_kinematic.torch.rearrange.bank import RearrangeBank, orders
-from sim_kinematic.torch.rearrange.observations import Paths, View, observed
-from sim_kinematic.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLACE, every_choice, of_object
-from sim_kinematic.torch.rearrange.state import ABORTED, DONE, FREE, NOBODY, Play
+from sim_kinematic.torch.rearrange.observations import Paths, View
+from sim_kinematic.torch.rearrange.state import FREE, Play
 from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
 
 APART_M = 2.0
 """Agents begin at least this far from each other."""
 LOOKS_EVERY = 25
 """Steps after which it is looked whether all episodes are over: that waits for the device."""
-Arrays = Mapping[str, Tensor]
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -124,7 +113,8 @@ class _Worlds:
         self._sim = RearrangeTensors(bank, device=device, planners=planners, interrupts="always", repeats=False)
         self._play = self._sim.before_the_first(torch.zeros(count, dtype=torch.int64))
         self._choosers = [
-            _Chooser(self._sim, self._play, cast, agent) for cast, agent in zip(casts, (ROBOT, "human"), strict=False)
+            TensorChooser(self._sim, self._play, cast, agent)
+            for cast, agent in zip(casts, (ROBOT, "human"), strict=False)
         ]
         self._nothing = torch.full((count,), FREE, dtype=torch.int64, device=device)
         self._step = torch.zeros(1, dtype=torch.int64, device=device)
@@ -191,7 +181,7 @@ class _Worlds:
         paths, chosen = self._find(), []
         for chooser, choose in zip(self._choosers, self._choose, strict=True):
             choice, *row = choose(*paths, chooser.noise(self._step))
-            chooser.keep(_Row(*row), self._step)
+            chooser.keep(Row(*row), self._step)
             chosen.append(choice)
         self._move(chosen[0], chosen[1] if len(chosen) > 1 else self._nothing)
         self._rewards.index_copy_(0, self._step, self._play.reward[None])
@@ -212,7 +202,7 @@ def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
 
 
 def _batch(
-    sim: RearrangeTensors, play: Play, jobs: Sequence[Job], choosers: Sequence[_Chooser], rewards: Tensor
+    sim: RearrangeTensors, play: Play, jobs: Sequence[Job], choosers: Sequence[TensorChooser], rewards: Tensor
 ) -> Batch:
     at_goal = sim.at_goal(View.of(sim, play, ROBOT).hands, sim.tables.at(play.episode))
     placed = (at_goal & (play.placed_by == 0)).sum(1)
@@ -235,214 +225,3 @@ def _batch(
     for chooser in choosers:
         found |= chooser.decisions(rewards, play.steps, gamma, partners)
     return Batch(played, found)
-
-
-class _Row(NamedTuple):
-    """Inputs and choices of one agent in a step, [W, ...] each."""
-
-    each: Tensor
-    rest: Tensor
-    state: Tensor
-    allowed: Tensor
-    chosen: Tensor
-    log_prob: Tensor
-    asked: Tensor
-
-
-class _Chooser:
-    """The choosers of one agent of all worlds, one network for each name."""
-
-    def __init__(self, sim: RearrangeTensors, play: Play, cast: Sequence[tuple[str, int]], agent: str) -> None:
-        """``cast`` are names and in how many worlds each plays."""
-        self._play = play
-        self._sim, self._agent = sim, agent
-        self._names = [name for name, _ in cast]
-        most = max(n for _, n in cast)
-        self._rows = torch.zeros(len(cast), most, dtype=torch.int64, device=sim.device)
-        """Worlds of each network, [P, N]; one that has fewer has its last one several times."""
-        self._arrays: dict[str, Tensor] = {}
-        self._kept: dict[str, Tensor] = {}
-        """Rows of all steps, [T, W, ...] each."""
-        worlds = sum(n for _, n in cast)
-        self._state = torch.zeros(worlds, 0, device=sim.device)
-        self._thought = torch.zeros(worlds, dtype=torch.int64, device=sim.device)
-        self._noise = torch.zeros(0, device=sim.device)
-
-    @property
-    def remembered(self) -> list[Tensor]:
-        """Tensors that a step changes."""
-        return [self._state, self._thought]
-
-    def begin(self, jobs: Sequence[Job], names: Sequence[str], dice: torch.Generator, *, steps: int) -> None:
-        """New episodes of so many steps at most, with the networks of today in the worlds whose ``names`` they have."""
-        device = self._sim.device
-        first = jobs[0].networks[names[0]]  # learners of one agent differ in their weights only
-        self._hold, self._observations = first.card.hold, first.card.observations
-        shape = steps, len(names), len(self._sim.choices(self._agent))
-        noise = torch.rand(shape, generator=dice, device=device)
-        if not self._arrays:
-            self._offered = torch.as_tensor(first.offered, device=device)
-            self._state = torch.zeros(len(names), first.arrays["gru.weight_hh"].shape[1], device=device)
-            self._noise = torch.zeros_like(noise)
-        worlds: dict[str, list[int]] = {name: [] for name in self._names}
-        for world, name in enumerate(names):
-            worlds[name].append(world)
-        most = self._rows.shape[1]
-        self._rows.copy_(torch.tensor([own + own[-1:] * (most - len(own)) for own in worlds.values()]))
-        fresh = arrays_of([jobs[own[0]].networks[name] for name, own in worlds.items()], device)
-        for name, array in fresh.items():
-            self._arrays.setdefault(name, array).copy_(array)
-        self._noise.copy_(noise.clamp_min(1e-12))
-        self._state.zero_()
-        self._thought.zero_()
-
-    def choose(self, xz: Tensor, lengths: Tensor, ahead: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
-        """Choices [W] by `Paths` and ``noise`` [W, C], -1 of those that are not asked, and the parts of a `_Row`."""
-        play = self._play
-        view = View.of(self._sim, play, self._agent, Paths(xz, lengths, ahead))
-        asked, view = self._asked(view)
-        names = self._observations
-        each, rest = encode(observed(view, names), self._agent, self._sim.bank.objects, observations=names)
-        rows, scores = self._rows.flatten(), torch.zeros(len(each), len(view.choices), device=each.device)
-        own, after = scored(self._arrays, each[self._rows], rest[self._rows], self._state[self._rows])
-        scores = scores.index_copy(0, rows, own.flatten(0, 1))
-        state = self._state.index_copy(0, rows, after.flatten(0, 1))
-        may = allowed(view) & self._offered
-        log_probs = scores.masked_fill(~may, -torch.inf).log_softmax(-1)
-        chosen = (log_probs - (-noise.log()).log()).argmax(-1)
-        log_prob = log_probs.gather(1, chosen[:, None])[:, 0]
-        before = self._state.clone()
-        self._state.copy_(torch.where(asked[:, None], state, self._state))
-        self._thought.copy_(torch.where(asked, play.steps, self._thought))
-        return torch.where(asked, chosen, FREE), each, rest, before, may, chosen, log_prob, asked
-
-    def noise(self, step: Tensor) -> Tensor:
-        """Of the step with this number [1], uniform in 0..1, [W, C]."""
-        return self._noise.index_select(0, step)[0]
-
-    def keep(self, row: _Row, step: Tensor) -> None:
-        """Remembers a row of the step with this number [1]."""
-        for name, value in row._asdict().items():
-            if name not in self._kept:
-                self._kept[name] = torch.zeros(len(self._noise), *value.shape, dtype=value.dtype, device=value.device)
-            self._kept[name].index_copy_(0, step, value[None])
-
-    def _asked(self, view: View) -> tuple[Tensor, View]:
-        """Agents that choose now (`RecurrentChooser.interrupts`), bool [W], and the view of those who are interrupted."""
-        play, does = view.play, view.does
-        running = does.skill.clamp_min(0)
-        kind, holder = view.choices.kind[running], of_object(play.held_by, view.choices.target[running])
-        busy, since = does.skill != FREE, play.steps - self._thought
-        walks = busy & ((kind == NAV_OBJECT) | (kind == NAV_GOAL))
-        taken = (kind == NAV_OBJECT) & (holder != NOBODY) & (holder != view.who)
-        gap = view.other - view.xz
-        alert = torch.hypot(gap[:, 0], gap[:, 1]) < ALERT_M
-        stops = walks & (taken | (alert & (since >= ALERT_STEPS)) | (since >= self._hold))
-        does = does._replace(
-            last=torch.where(stops, does.skill, does.last), outcome=torch.where(stops, ABORTED, does.outcome)
-        )
-        return ~play.ended & (~busy | stops), view._replace(does=does)
-
-    def decisions(
-        self, rewards: Tensor, steps: Tensor, gamma: float, partners: tuple[str, ...]
-    ) -> dict[str, Decisions]:
-        """Those of each learner; ``rewards`` are [T, W], of which each world has played some ``steps`` [W]."""
-        asked = self._kept["asked"][: len(rewards)]
-        world, when = asked.T.nonzero().unbind(1)  # one world after the other
-        is_last = torch.ones_like(world, dtype=torch.bool)
-        is_last[:-1] = world[1:] != world[:-1]
-        until = torch.where(is_last, steps[world], when.roll(-1))
-        powers = gamma ** torch.arange(len(rewards) + 1, dtype=torch.float64, device=rewards.device)
-        earned = torch.zeros(len(powers), rewards.shape[1], dtype=torch.float64, device=rewards.device)
-        earned[1:] = (rewards * powers[:-1, None]).cumsum(0)
-        gain = (earned[until, world] - earned[when, world]) / powers[when]
-        discount = torch.where(is_last, 0.0, powers[until - when])
-        found = {}
-        for name, all_rows in zip(self._names, self._rows, strict=True):
-            rows = all_rows.unique()
-            own = torch.isin(world, rows)
-            at = when[own], world[own]
-            found[name] = Decisions(
-                **{column: t[at] for column, t in self._kept.items() if column != "asked"},
-                gain=gain[own].float(), discount=discount[own].float(), counts=asked.sum(0)[rows].cpu().numpy(),
-                partners=tuple(partners[w] for w in rows.tolist()),
-            )  # fmt: skip
-        return found
-
-
-# --- the network as tensors -----------------------------------------------------------------------------------------------
-def arrays_of(networks: Sequence[ChooserNetwork], device: torch.device) -> dict[str, Tensor]:
-    """The weights of P choosers on a device, [P, ...] each."""
-    names = networks[0].arrays
-    return {name: torch.as_tensor(np.stack([n.arrays[name] for n in networks]), device=device) for name in names}
-
-
-def encode(
-    shown: Mapping[str, Tensor], agent: str, objects: int, *, observations: tuple[str, ...] = OBSERVATIONS
-) -> tuple[Tensor, Tensor]:
-    """Inputs of each object [W, K, F] and the rest [W, R] (`sim_kinematic.policies.choosers.chooser_network.encoded`)."""
-    each, rest, own = [], [], SKILLS_WITH_OBJECT * objects
-    for name in observations:
-        encoding, seen = ENCODINGS.get(name), shown[name]
-        if encoding is None:
-            each.append(seen[:, :own].reshape(-1, SKILLS_WITH_OBJECT, objects).transpose(1, 2))
-            rest.append(seen[:, own:])
-        elif encoding.is_of_objects:
-            each.append(_inputs(name, seen.reshape(-1, objects, encoding.given)))
-            if hides(name, observations):
-                each[-1] = each[-1] * (1 - shown["held_by_other"])[..., None]
-        else:
-            rest.append(_inputs(name, seen))
-    assert rest[-1].shape[1] == rest_count(agent)
-    return torch.cat(each, -1), torch.cat(rest, -1)
-
-
-def _inputs(name: str, seen: Tensor) -> Tensor:
-    if name.endswith(("gps_compass", "path_ahead")):
-        d, a = seen[..., 0::2], seen[..., 1::2]
-        return torch.cat([d / 5, torch.exp(-d), a.cos(), a.sin()], -1)
-    if name == "other_velocity":
-        return seen / 2.5
-    if "way_to" in name:
-        return torch.cat([seen.clamp_max(30.0) / 10, torch.exp(-seen / 2)], -1)
-    return seen / 50 if name == "elapsed_s" else seen
-
-
-def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Scores [P, N, C] and the next states [P, N, H] of P networks in N worlds each, as `ChooserNetwork.__call__`, for inputs
-    [P, N, K, F] and [P, N, R] and states."""
-
-    def layer(name: str, x: Tensor, kind: str = "") -> Tensor:
-        weight, bias = arrays[f"{name}.weight{kind}"], arrays[f"{name}.bias{kind}"]
-        return torch.baddbmm(bias[:, None], x.flatten(1, -2), weight.mT).unflatten(1, x.shape[1:-1])
-
-    count = each.shape[2]
-    numbers = torch.eye(count, device=each.device).expand(*each.shape[:2], -1, -1)
-    things = layer("object", torch.cat([each, numbers], -1)).relu()
-    given, kept = layer("gru", torch.cat([rest, things.flatten(2)], -1), "_ih"), layer("gru", state, "_hh")
-    (r, z, n), (kr, kz, kn) = given.chunk(3, -1), kept.chunk(3, -1)
-    update = torch.sigmoid(z + kz)
-    state = (1 - update) * torch.tanh(n + torch.sigmoid(r + kr) * kn) + update * state
-    known = torch.cat([state[:, :, None].expand(-1, -1, count, -1), things], -1)
-    of_objects = layer("each_1", layer("each_0", known).relu())
-    others = layer("rest_1", layer("rest_0", torch.cat([state, rest], -1)).relu())
-    last = each[..., -SKILLS_WITH_OBJECT:].transpose(2, 3).flatten(2)
-    interrupted = torch.cat([last, rest[..., -others.shape[-1] :]], -1)
-    scores = torch.cat([of_objects.transpose(2, 3).flatten(2), others], -1)
-    return scores + arrays["persist"][..., None] * interrupted, state
-
-
-def allowed(view: View) -> Tensor:
-    """Which choices make sense to try, bool [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
-    numbers = every_choice(view.choices, len(view.xz))
-    kind, k, objects = view.choices.kind[numbers], view.choices.target[numbers], view.sim.bank.objects
-    held = view.play.held_by
-    lies = ((held == NOBODY) & ~view.sim.at_goal(view.hands, view.places)).gather(1, k)
-    empty, mine = ~(held == view.who).any(1, keepdim=True), (held == view.who).gather(1, k)
-    fetches = (kind == NAV_OBJECT) | (kind == PICK)
-    handles = (kind == PICK) | (kind == PLACE)
-    came = torch.where(handles, numbers - 2 * objects, numbers)
-    last, outcome = view.does.last[:, None], view.does.outcome[:, None]
-    arrived, going_on = (outcome == DONE) & (last == came), (outcome == ABORTED) & (last == numbers)
-    may = torch.where(fetches, empty & lies, mine)
-    return (kind > PLACE) | (may & ((arrived == handles) | going_on))
