@@ -246,6 +246,7 @@ def test_agents_begin_where_they_do_in_episodes_of_the_same_home(
         places = []
         for seed in range(3):
             players.play([job._replace(seed=seed) for job in jobs])
+            assert players._worlds is not None
             places.append(
                 players._worlds._starts(torch.tensor([j.entry for j in jobs]), torch.Generator().manual_seed(seed))
             )
