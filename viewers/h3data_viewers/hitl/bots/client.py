@@ -78,6 +78,8 @@ class Client:
     async def __aexit__(self, *_: Any) -> None:
         if self._hearing is not None:
             self._hearing.cancel()
+            await asyncio.gather(self._hearing, return_exceptions=True)
+            await self.socket.close()  # else its connection is dropped without having been closed
         await self.http.close()
 
     async def sit(self) -> int:
