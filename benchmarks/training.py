@@ -26,7 +26,7 @@ HOMES = "h3-homes/train#10,h3-homes/train#24,h3-homes-v2/train#10,h3-homes-v2/tr
 
 
 class Case(NamedTuple):
-    """What some lines are of."""
+    """Worlds and rollout that some lines are measured with."""
 
     worlds: int
     hold: int = 1

@@ -83,8 +83,8 @@ def learned_beside(run: str, seed: int) -> Callable[[str], bool]:
     population = run.partition("_no_")[0].removesuffix("_learned_skills")
     if population in POPULATIONS:
         return lambda partner: partner in POPULATIONS[population]
-    own, shipped = f"{population}.{seed}.partner_", f"{population}_partner_{seed}"
-    return lambda partner: Path(partner).name.startswith(own) or (population == "learn_single" and partner == shipped)
+    own, shipped = f"/{population}.{seed}/partner_", f"{population}_partner_{seed}"
+    return lambda partner: own in partner or (population == "learn_single" and partner == shipped)
 
 
 def values_of(results: Sequence[SeedResults], metric: Metric, partners: str) -> NDArray[np.float64]:

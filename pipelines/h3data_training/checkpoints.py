@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -47,8 +48,7 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
         learner.net.load_state_dict(kept["net"])
         learner.optimizer.load_state_dict(kept["optimizer"])
         learner.dice.set_state(own(dice)[0].clone())  # a part of a tensor crashes torch
-        for mine, theirs in zip(learner.worlds.play.tensors(), kept["play"], strict=True):
-            mine.copy_(own(theirs))
+        overwrite(learner.worlds.play.tensors(), map(own, kept["play"]))
         overwrite(m.shown.values(), (own(kept["shown"][name]) for name in m.shown))
         overwrite((m.state, m.last, m.over), (own(kept[n]) for n in ("state", "last", "over")))
     except (KeyError, RuntimeError, ValueError) as fault:
@@ -80,9 +80,14 @@ def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) 
         raise FormatError(f"Expected a checkpoint {form}, got {kept['format']}. File: {path}")
     now = settings.as_dict() | {"seed": seed}
     then = type(settings)().as_dict() | then  # settings that are newer than the checkpoint have their defaults
-    other = [f"{n}={then.get(n)!r}, not {now[n]!r}" for n in now if n not in FREE and then.get(n) != now[n]]
+    other = differences(then, {name: value for name, value in now.items() if name not in FREE})
     if other:
-        raise InputError(
-            f"The run in this folder has {'; '.join(other)}. Hint: name the same settings, or another folder."
-        )
+        raise InputError(f"The run in this folder has {other}. Hint: name the same settings, or another folder.")
     return kept
+
+
+def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Settings that had another value ``then`` than they have ``now``, in words; empty: none."""
+    return "; ".join(
+        f"{name}={then.get(name)!r}, not {value!r}" for name, value in now.items() if then.get(name) != value
+    )

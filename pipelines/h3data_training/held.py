@@ -27,14 +27,14 @@ class HeldSteps:
     """Observations of the last call of `_eager`."""
 
     def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """As of `h3data_training.ppo.Worlds`."""
+        """Moves all worlds by an action [W, A]; returns what `h3data_training.ppo.Worlds.held` does, in tensors of its own."""
         with torch.no_grad():
             self._action.copy_(action)
             self._advance()
         return self._result(), self.gain.clone(), self.over.clone(), self.timed_out.clone(), self.idle.clone()
 
     def held_in_place(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        """As of `h3data_training.ppo.Worlds`."""
+        """`held`, operation by operation, for a CUDA graph to capture; the next call overwrites the tensors."""
         own = self._shown  # where a graph of these worlds alone writes
         self._action.copy_(action)
         self._eager()
@@ -46,7 +46,7 @@ class HeldSteps:
         raise NotImplementedError
 
     def _result(self) -> dict[str, Tensor]:
-        """What has been shown last, in tensors of its own."""
+        """Observations of the last step, in tensors of their own."""
         return {name: tensor.clone() for name, tensor in self._shown.items()}
 
     def _make_totals(self, worlds: int, device: torch.device) -> None:

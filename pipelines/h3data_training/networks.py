@@ -129,7 +129,7 @@ class ActorCritic(nn.Module):
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """What is known after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
+        """Outputs of the recurrent layer after each step [T, n, H], and its last state [n, S], for features [T, n, F]."""
         out, after = self.gru(x, state[None])
         return out, after[0]
 
@@ -143,7 +143,7 @@ class ActorCritic(nn.Module):
         return self.head(out[0], numbers), state
 
     def roll(self, x: Tensor, state: Tensor, begins: Tensor) -> Tensor:
-        """What is known after each step [T, B, H] of features [T, B, F], the state [B, S] reset before steps that ``begins``.
+        """Outputs of the recurrent layer [T, B, H] for features [T, B, F], the state [B, S] reset before steps that ``begins``.
 
         cuDNN cannot reset within a sequence, so parts of episodes are put beside each other and the short ones padded: features
         only, since padding the pictures too took most of the time of an update.

@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from h3data_training.networks import actor_numbers, critic_numbers, network
 from h3data_training.ranks import Ranks
 from h3data_training.settings import Settings
-from sim_kinematic.torch.graph import captured, overwrite
+from sim_kinematic.torch.graph import captured, keep_row, overwrite
 
 RANK_SEED = 1_000_003
 """Between the seeds of two processes' exploration noise."""
@@ -190,22 +190,15 @@ class Learner:
         }  # fmt: skip
         if taught:
             row["taught"] = self.worlds.taught()
-        self._keep(row)
+        keep_row(self._kept, self._row, row, rows=s.rollout)
         shown, gain, over, timed_out, idle = self.worlds.held_in_place(action)
-        self._keep({"gain": gain, "over": over, "timed_out": timed_out, "valid": ~idle})
+        after = {"gain": gain, "over": over, "timed_out": timed_out, "valid": ~idle}
+        keep_row(self._kept, self._row, after, rows=s.rollout)
         self._row.add_(1).remainder_(s.rollout)
         going = ~over[:, None]
         overwrite(m.shown.values(), (shown[name] for name in m.shown))
         overwrite((m.state, m.last, m.over), (state * going, action.clamp(-1, 1) * going, over))
         self._over.copy_(self.worlds.play.terminated)
-
-    def _keep(self, row: dict[str, Tensor]) -> None:
-        for name, value in row.items():
-            if name not in self._kept:
-                self._kept[name] = torch.empty(
-                    self.settings.rollout, *value.shape, dtype=value.dtype, device=value.device
-                )
-            self._kept[name].index_copy_(0, self._row, value[None])
 
     @torch.no_grad()
     def _advantages(self, last: dict[str, Tensor], gamma: float) -> tuple[Tensor, Tensor, float]:

@@ -195,7 +195,7 @@ class _Run:
 
     @property
     def seconds(self) -> float:
-        """Of all calls."""
+        """How long all calls have taken so far [s]."""
         return self.before_s + self.elapsed()
 
     @property
@@ -242,7 +242,7 @@ class _Run:
         )  # fmt: skip
 
     def _agreed(self, *values: float) -> list[float]:
-        """Of the first process: clocks differ, and all have to do the same."""
+        """The values that the first process has: clocks differ, and all processes have to do the same."""
         where = self.learner.memory.state.device
         return self.ranks.first(torch.tensor(values, dtype=torch.float64, device=where)).tolist()
 
@@ -279,7 +279,7 @@ class _Run:
             self.say(f"could not save ({fault}); training goes on, the last checkpoint is as it was")
 
     def policy(self) -> PicturedNetwork:
-        """What has been learned so far."""
+        """The policy that has been learned so far."""
         s, updates = self.settings, len(self.curve)
         last = {k: v for k, v in self.curve[-1].items() if k in TOLD} if self.curve else {}
         pictured = {*PICTURES, "humanoid_detector"} & set(s.observations)

@@ -132,22 +132,22 @@ class Settings:
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Of which the actor may be shown one,"""
+        """Observations that are pictures, of which the actor may be shown one."""
         return tuple(PICTURES)
 
     @property
     def told(self) -> tuple[str, ...]:
-        """and what it may be told beside it."""
+        """Observations that the actor may be told beside a picture, or without one."""
         return OF_SOCIAL_NAV
 
     @property
     def critic(self) -> tuple[str, ...]:
-        """What the critic is told in training; the policy file has none of it."""
+        """Observations of the critic, in training only; the policy file has none of them."""
         return CRITIC
 
     @property
     def first_action(self) -> tuple[float, ...]:
-        """Around which an actor explores at first: standing still."""
+        """The action that an actor explores around at first: standing still."""
         return (0.0,) * BASE_ACTIONS
 
     @property

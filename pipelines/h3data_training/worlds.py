@@ -80,7 +80,7 @@ class HeldWorlds(HeldSteps, SocialNavTorchEnv):
         ]  # fmt: skip
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """As of `h3data_training.ppo.Worlds`."""
+        """Columns of the learning curve that follow from the totals by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
             "reward": total["reward"] / steps, "follows": total["follows"] / steps, "collided": total["collided"] / ended,

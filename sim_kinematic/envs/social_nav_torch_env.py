@@ -145,7 +145,7 @@ class SocialNavTorchEnv(TorchEnv[Play]):
             return self._stepped()
 
     def info(self) -> Tensors:
-        """What is known beyond the observations, [W] each; ``episode`` is a number in the bank."""
+        """Facts beyond the observations, [W] each; ``episode`` is a number in the bank."""
         play = self.play
         known = {
             "geodesic_m": play.geodesic, "found": play.found, "followed": play.followed, "collides": play.collides,
@@ -205,14 +205,14 @@ class SocialNavTorchEnv(TorchEnv[Play]):
     # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
     @cached_property
     def single_action_space(self) -> Box:
-        """Of one world."""
+        """Space of the action of one world."""
         from sim_kinematic.envs.stepper import gymnasium
 
         return gymnasium.spaces.Box(-1.0, 1.0, (self.sim.action_width,), np.float32)
 
     @cached_property
     def single_observation_space(self) -> Dict:
-        """Of one world."""
+        """Space of the observations of one world."""
         from sim_kinematic.envs.stepper import gymnasium
         from sim_kinematic.sensing.observation_set import box
         from sim_kinematic.sensing.table import SENSORS

@@ -92,7 +92,7 @@ class TorchEnv(Generic[P]):
         return self._result(), self.info()
 
     def info(self) -> Tensors:
-        """What is known beyond the observations, [W, ...] each."""
+        """Facts beyond the observations, [W, ...] each."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -123,31 +123,31 @@ class TorchEnv(Generic[P]):
         raise NotImplementedError
 
     def _forget_actions(self) -> None:
-        """What agents were told last counts for nothing in a new episode."""
+        """Makes the actions of the last step count for nothing in a new episode."""
 
     def _result(self) -> Any:
-        """What has been shown last, in tensors of its own: a graph writes into the same ones again."""
+        """Observations of the last step, in tensors of their own: a graph writes into the same ones again."""
         raise NotImplementedError
 
     # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
     @cached_property
     def single_action_space(self) -> Space[Any]:
-        """Of one world."""
+        """Space of the action of one world."""
         raise NotImplementedError
 
     @cached_property
     def single_observation_space(self) -> Space[Any]:
-        """Of one world."""
+        """Space of the observations of one world."""
         raise NotImplementedError
 
     @cached_property
     def action_space(self) -> Space[Any]:
-        """Of all worlds."""
+        """Space of the actions of all worlds."""
         return self._of_all(self.single_action_space)
 
     @cached_property
     def observation_space(self) -> Space[Any]:
-        """Of all worlds."""
+        """Space of the observations of all worlds."""
         return self._of_all(self.single_observation_space)
 
     def _of_all(self, space: Space[Any]) -> Space[Any]:

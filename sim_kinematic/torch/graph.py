@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ParamSpec, TypeVar
 
 import torch
@@ -36,6 +36,15 @@ def overwrite(kept: Iterable[Tensor], new: Iterable[Tensor]) -> None:
     """Writes new values into tensors that a graph reads and writes, one after the other."""
     for tensor, value in zip(kept, new, strict=True):
         tensor.copy_(value)
+
+
+def keep_row(kept: dict[str, Tensor], row: Tensor, values: Mapping[str, Tensor], *, rows: int) -> None:
+    """Copies values [W, ...] into one row of the buffers ``kept`` [rows, W, ...], whose number is ``row`` [1]. A buffer is made
+    when it is first needed, which must not be while a graph is captured."""
+    for name, value in values.items():
+        if name not in kept:
+            kept[name] = torch.empty(rows, *value.shape, dtype=value.dtype, device=value.device)
+        kept[name].index_copy_(0, row, value[None])
 
 
 def captured(step: Callable[[], object], kept: Sequence[Tensor]) -> Callable[[], None]:

@@ -14,7 +14,7 @@ from h3data.errors import FormatError, InputError
 from h3data_pipelines.jobs.cross_play import METRICS
 
 SR = next(m for m in METRICS if m.name == "SR")
-TEN = ("both", "object_1", "still", "weights:/t/learn_pop.0.partner_0.npz@0123456789ab")
+TEN = ("both", "object_1", "still", "weights:/t/learn_pop.0/partner_0.npz@0123456789ab")
 
 
 def evaluation(out: Path, run: str, values: dict[str, list[float | None]], *, walk: str = "paper") -> Path:
@@ -36,7 +36,7 @@ def evaluation(out: Path, run: str, values: dict[str, list[float | None]], *, wa
 
 
 def test_each_robot_counts_with_whom_it_learned() -> None:
-    weights = {s: f"weights:/t/learn_pop.{s}.partner_1.npz@0123456789ab" for s in (0, 1)}
+    weights = {s: f"weights:/t/learn_pop.{s}/partner_1.npz@0123456789ab" for s in (0, 1)}
     assert learned_beside("learn_pop", 1)(weights[1])
     assert not learned_beside("learn_pop", 0)(weights[1])
     assert not learned_beside("learn_single", 1)(weights[1])

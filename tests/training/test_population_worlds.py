@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import shutil
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from h3data_training.populations import run as run_module  # noqa: E402
 from h3data_training.populations import worlds as populations  # noqa: E402
 from h3data_training.populations.learner import ChooserLearner  # noqa: E402
 from h3data_training.populations.playing import Decisions, Job, discounted  # noqa: E402
-from h3data_training.populations.pool import draw_pool, episodes_of  # noqa: E402
+from h3data_training.populations.pool import bank_of, draw_pool, drawn_by, episodes_of  # noqa: E402
 from h3data_training.populations.run import CHECKPOINT, POLICY, train  # noqa: E402
 from h3data_training.populations.settings import ROBOT, PopulationSettings  # noqa: E402
 from h3data_training.populations.tensor_choosers import arrays_of, encode, scored  # noqa: E402
@@ -214,27 +215,31 @@ def test_fused_steps_decide_alike(episodes: Sequence[RearrangeEpisode], short: N
 
 
 def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], tmp_path: Path, short: None) -> None:
-    bank, file, about = (
-        RearrangeBank.of([replace(e, spec=SHORT) for e in episodes]),
-        tmp_path / "bank.npz",
-        {"scenes": "a"},
-    )
-    save_bank(bank, file, drawn_by=about)
-    kept = load_bank(file, drawn_by=about, spec=SHORT)
+    bank, file = RearrangeBank.of([replace(e, spec=SHORT) for e in episodes]), tmp_path / "bank.npz"
+    save_bank(bank, file, drawn_by=drawn_by(DRAWN))
+    kept, known = load_bank(file, spec=SHORT)
+    assert known == drawn_by(DRAWN)
     assert len(kept) == len(bank)
     assert (kept.robot.name, kept.human.name) == (bank.robot.name, bank.human.name)
     jobs = jobs_of(4, {ROBOT: network()})
     one, other = (TensorPlayers(b, "cpu").play(jobs) for b in (bank, kept))
     assert one.played == other.played
-    for told, message in ((about | {"scenes": "b"}, "drawn with scenes='a', not 'b'"), (about, "other rules")):
-        with pytest.raises(InputError, match=message):
-            load_bank(file, drawn_by=told)
-    whole = file.read_bytes()
+    with pytest.raises(InputError, match="drawn with other rules"):
+        load_bank(file)
+    save_bank(replace(bank, spec=ORACLE_RULES), file, drawn_by=drawn_by(DRAWN))
+    assert len(bank_of(DRAWN, file)) == len(bank)
+    with pytest.raises(InputError, match=r"drawn with scenes='h3-homes/val#1', not 'b'\. Hint: another file"):
+        bank_of(replace(DRAWN, scenes="b"), file)
+    whole, rng = file.read_bytes(), np.random.default_rng(0)
     for broken in (b"", whole[: len(whole) // 2], b"PK" + whole[2:200], gzip.compress(b"{}")):
         file.write_bytes(broken)
         with pytest.raises(FormatError, match="Expected a bank of episodes") as caught:
-            load_bank(file, drawn_by=about, spec=SHORT)
+            load_bank(file)
         assert "\n" not in str(caught.value)
+    for at in rng.integers(0, len(whole), 40).tolist():  # bits of headers may not matter
+        file.write_bytes(whole[:at] + bytes([whole[at] ^ (1 << int(rng.integers(8)))]) + whole[at + 1 :])
+        with contextlib.suppress(FormatError):
+            assert load_bank(file)[1] == drawn_by(DRAWN)
 
 
 def test_agents_begin_where_they_do_in_episodes_of_the_same_home(

@@ -57,8 +57,8 @@ class Job:
     """Which episode of which set or file it is; ends up in the recording."""
 
     def to_json(self) -> dict[str, Any]:
-        """What decides the episode, as JSON gives it back; a stored one is known by its ``origin``. What is not set is left
-        out."""
+        """Everything that decides the episode, as JSON gives it back; a stored one is known by its ``origin``. Fields that are
+        not set are left out."""
         from sim_kinematic.tasks.episode import rules_dict
 
         apart = ("stored", "origin", "task")

@@ -230,7 +230,7 @@ def evaluate_task(
 
 
 def _asked(request: EvaluationRequest, job: Evaluation) -> dict[str, Any]:
-    """What the table is of: the task, the rules, who plays, and the digest of the set of scenes."""
+    """Everything that decides the table: the task, the rules, who plays, and the digest of the set of scenes."""
     asked = job.to_json()
     own = {"index", "seed", "scene", "source", "human", "drawn_with"}
     rules = {name: value for name, value in asked.pop("episode").items() if name not in own}

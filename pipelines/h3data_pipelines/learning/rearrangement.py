@@ -22,6 +22,8 @@ CHECKPOINT_BYTES = 3 << 20
 STEPS_PER_CPU_S = 900
 """About what a core plays of two agents, learning included."""
 STEPS_PER_EPISODE = 600
+DRAWING_S = 0.55
+"""CPU seconds to draw an episode: 652 for 1,184 in the 37 homes of h3-homes/train."""
 WORLD_STEPS_PER_CPU_S = 10_000
 """The same of worlds with oracle skills on a CPU: 256 of them, which are stepped on one core."""
 
@@ -78,7 +80,7 @@ def _plan(settings: PopulationSettings, workers: int | None) -> str:
     cost = _cost(settings, workers)
     length = counted(settings.updates, "update") if settings.updates else f"{settings.minutes:g} minutes"
     homes = len(listed_scenes(settings.scenes))
-    drawing = settings.episodes_per_home * homes / 60
+    drawing = settings.episodes_per_home * homes * DRAWING_S / 60
     return (
         f"{length} with {counted(int(cost['workers']), 'worker')}: {counted(len(settings.learners), 'learner')} "
         f"({', '.join(settings.learners)}), about {cost['episodes']:.0f} episodes, {cost['steps'] / 1e6:.1f} M steps, "

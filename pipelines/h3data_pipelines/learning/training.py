@@ -83,16 +83,17 @@ class Train:
     stop_after: float | None = None
     """Save and stop after so many minutes of this call; --resume goes on."""
     workers: int | None = None
-    """rearrange: processes that play (default: one for each core). The weights do not depend on it."""
+    """rearrange: processes that play, with --worlds those that prepare episodes (default: one for each core). The weights do
+    not depend on it."""
     episodes_file: Path | None = None
     """rearrange: episodes to play, drawn and written where there is no such file, so that several runs share them (default:
-    episodes.json.gz in the folder)."""
+    episodes.json.gz in the folder, with --worlds episodes.npz)."""
     device: str = "cpu"
     """Where worlds are: cpu, cuda or cuda:N. Of rearrange with --worlds."""
     scenes: str | None = None
     """Homes to learn in: one or more names as of h3data generate, separated by commas (default: h3-homes/train)."""
     episodes_per_home: int | None = None
-    """Episodes to learn from in each home (default: 28, tiny 8, rearrange 8, skills 3, with fast 8)."""
+    """Episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
     observations: str | None = None
     """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
     humanoid_gps,range_scan); there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, way and

@@ -154,8 +154,8 @@ def log_softmax(scores: Floats) -> Floats:
 
 
 def discounted(rewards: Floats, steps: Sequence[int], gamma: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Of decisions at some steps [D]: the reward of the steps until the next one, discounted to the first of them, and how many
-    steps that are; several decisions may be made at one step, then all but the last gain nothing."""
+    """The reward between each decision at some ``steps`` [D] and the next one, discounted to the first step of these, [D], and
+    how many steps that are; several decisions may be made at one step, then all but the last gain nothing."""
     edges = np.append(steps, len(rewards))
     gains = [float(rewards[a:b] @ gamma ** np.arange(b - a)) for a, b in pairwise(edges)]
     return np.array(gains), np.diff(edges)
@@ -210,12 +210,12 @@ class Players:
 
     @property
     def size(self) -> int:
-        """Number of episodes to choose from,"""
+        """Number of episodes to choose from."""
         return len(self._episodes)
 
     @property
     def homes(self) -> int:
-        """and of the homes that they are in."""
+        """Number of homes that the episodes are in."""
         return len({id(episode.scene) for episode in self._episodes})
 
     def warm_up(self, jobs: Sequence[Job]) -> None:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import gzip
 import os
 import zlib
-from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +18,8 @@ from h3data.files import part_file
 from h3data.habitat.episodes.stored_rearrangements import StoredGoal
 from h3data.habitat.scene_names import listed_scenes, named_scenes
 from h3data.progress import progress
+from h3data_training.checkpoints import differences
+from h3data_training.episodes import by_home
 from h3data_training.populations.settings import LONGEST, PopulationSettings, rules_of
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.randomness import episode_seed
@@ -87,37 +87,27 @@ def pool_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Po
         raise FormatError(f"Expected a file of episodes ({FORMAT}), this is none ({fault}). File: {file}") from None
     if not fits or not pool.entries:
         raise FormatError(f"Expected a file of episodes {FORMAT}, got {pool.format}. File: {file}")
-    now = drawn_by(settings)
-    other = [f"{n}={pool.drawn_by.get(n)!r}, not {v!r}" for n, v in now.items() if pool.drawn_by.get(n) != v]
-    if other:
-        raise InputError(f"These episodes were drawn with {'; '.join(other)}. Hint: another file. File: {file}")
+    _require_drawn_by(settings, pool.drawn_by, file)
     return pool
 
 
+def _require_drawn_by(settings: PopulationSettings, kept: Mapping[str, Any], file: Path) -> None:
+    other = differences(kept, drawn_by(settings))
+    if other:
+        raise InputError(f"These episodes were drawn with {other}. Hint: another file. File: {file}")
+
+
 def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
-    """Draws as many episodes in each home, in several processes; homes go by their size, the largest first."""
+    """Draws as many episodes in each home, in several processes."""
     names = [named.name for named in listed_scenes(settings.scenes)]
-    tasks = [(settings, name, k) for k, name in enumerate(names)]
-    found: dict[int, list[PoolEntry]] = {}
-    with progress(desc="episodes", total=len(tasks), unit="home", delay=1.0, leave=False) as done:
-
-        def add(made: Iterable[tuple[int, list[PoolEntry]]]) -> None:
-            for k, entries in made:
-                found[k] = entries
-                done.update()
-
-        if workers == 1:
-            add(map(_drawn, tasks))
-        else:
-            with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
-                add(pool.map(_drawn, reversed(tasks)))
-    entries = [entry for k in range(len(names)) for entry in found[k]]
+    drawn = by_home(_drawn, [(settings, name, k) for k, name in enumerate(names)], workers=workers)
+    entries = [entry for of_home in drawn for entry in of_home]
     if not entries:
         raise SceneError(f"No home of {settings.scenes} has room for an episode.")
     return Pool(format=FORMAT, drawn_by=drawn_by(settings), entries=entries)
 
 
-def _drawn(task: tuple[PopulationSettings, str, int]) -> tuple[int, list[PoolEntry]]:
+def _drawn(task: tuple[PopulationSettings, str, int]) -> list[PoolEntry]:
     settings, name, number = task
     home = _home(name)
     roster = make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
@@ -134,7 +124,7 @@ def _drawn(task: tuple[PopulationSettings, str, int]) -> tuple[int, list[PoolEnt
             places = episode.pair_starts.places.tolist()
             entries.append(PoolEntry(home=name, walk=walk, seed=seed, starts=places, goals=goals))
             break
-    return number, entries
+    return entries
 
 
 def episodes_of(pool: Pool, settings: PopulationSettings) -> list[RearrangeEpisode]:
@@ -201,7 +191,9 @@ def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Re
     from sim_kinematic.torch.rearrange.bank_file import load_bank, save_bank
 
     if file.exists():
-        return load_bank(file, drawn_by=drawn_by(settings))
+        bank, kept = load_bank(file)
+        _require_drawn_by(settings, kept, file)
+        return bank
     episodes = episodes_of(draw_pool(settings, workers=workers), settings)
     bank = RearrangeBank.of([replace(episode, spec=ORACLE_RULES) for episode in episodes], workers=workers)
     save_bank(bank, file, drawn_by=drawn_by(settings))

@@ -41,7 +41,7 @@ class PopulationSettings:
     scenes: str = "h3-homes/train"
     """One name or several, separated by commas (`h3data.habitat.scene_names.listed_scenes`)."""
     episodes_per_home: int = 32
-    """Episodes are drawn once and played again and again, beside other partners. With 8 a robot does worse in other homes."""
+    """Episodes are drawn once and played again and again, beside other partners."""
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = BOTH
@@ -51,8 +51,8 @@ class PopulationSettings:
     """Whether episodes have oracle skills, and are played in worlds on a device, all of an update at once
     (`h3data_training.populations.worlds`). They have the paper's people, whoever they were drawn for."""
     moves_starts: bool = True
-    """In worlds, whether each agent begins where it does in any episode of the same home: else a robot learns by heart whom it
-    meets where."""
+    """In worlds, whether each agent begins where it does in any episode of the same home: there are then so many meetings that
+    success in training tells of success in other homes."""
     without: tuple[str, ...] = ()
     """Some of `ABLATIONS`, of the robot alone."""
     think_steps: int = 30

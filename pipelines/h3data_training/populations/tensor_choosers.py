@@ -1,5 +1,5 @@
-"""Who chooses in worlds on a device: one network or several as tensors, the same as
-`sim_kinematic.policies.choosers.recurrent_chooser` for one agent.
+"""Choosers of worlds on a device: one network or several as tensors, step for step
+`sim_kinematic.policies.choosers.recurrent_chooser`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
     rest_count,
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import ALERT_M, ALERT_STEPS
+from sim_kinematic.torch.graph import keep_row
 from sim_kinematic.torch.rearrange.observations import Paths, View, observed
 from sim_kinematic.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLACE, every_choice, of_object
 from sim_kinematic.torch.rearrange.state import ABORTED, DONE, FREE, NOBODY, Play
@@ -109,15 +110,12 @@ class TensorChooser:
         return torch.where(asked, chosen, FREE), each, rest, before, may, chosen, log_prob, asked
 
     def noise(self, step: Tensor) -> Tensor:
-        """Of the step with this number [1], uniform in 0..1, [W, C]."""
+        """Random numbers of the step with this number [1], uniform in 0..1, [W, C]."""
         return self._noise.index_select(0, step)[0]
 
     def keep(self, row: Row, step: Tensor) -> None:
         """Remembers a row of the step with this number [1]."""
-        for name, value in row._asdict().items():
-            if name not in self._kept:
-                self._kept[name] = torch.zeros(len(self._noise), *value.shape, dtype=value.dtype, device=value.device)
-            self._kept[name].index_copy_(0, step, value[None])
+        keep_row(self._kept, step, row._asdict(), rows=len(self._noise))
 
     def _asked(self, view: View) -> tuple[Tensor, View]:
         """Agents that choose now (`RecurrentChooser.interrupts`), bool [W], and the view of those who are interrupted."""
@@ -138,7 +136,7 @@ class TensorChooser:
     def decisions(
         self, rewards: Tensor, steps: Tensor, gamma: float, partners: tuple[str, ...]
     ) -> dict[str, Decisions]:
-        """Those of each learner; ``rewards`` are [T, W], of which each world has played some ``steps`` [W]."""
+        """Decisions of each learner; ``rewards`` are [T, W], of which each world has played some ``steps`` [W]."""
         asked = self._kept["asked"][: len(rewards)]
         world, when = asked.T.nonzero().unbind(1)  # one world after the other
         is_last = torch.ones_like(world, dtype=torch.bool)

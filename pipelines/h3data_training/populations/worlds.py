@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
@@ -28,8 +27,6 @@ APART_M = 2.0
 """Agents begin at least this far from each other."""
 LOOKS_EVERY = 25
 """Steps after which it is looked whether all episodes are over: that waits for the device."""
-P = ParamSpec("P")
-R = TypeVar("R")
 
 
 class TensorPlayers:
@@ -58,12 +55,12 @@ class TensorPlayers:
 
     @property
     def size(self) -> int:
-        """Number of episodes to choose from,"""
+        """Number of episodes to choose from."""
         return len(self._bank)
 
     @property
     def homes(self) -> int:
-        """and of the homes that they are in."""
+        """Number of homes that the episodes are in."""
         return len(self._bank.floors)
 
     def warm_up(self, jobs: Sequence[Job]) -> None:
@@ -84,10 +81,6 @@ class TensorPlayers:
 
     def close(self) -> None:
         """Nothing needs closing."""
-
-
-def _plain(function: Callable[P, R]) -> Callable[P, R]:
-    return function
 
 
 Casts = tuple[tuple[tuple[str, int], ...], ...]
@@ -119,20 +112,17 @@ class _Worlds:
         self._nothing = torch.full((count,), FREE, dtype=torch.int64, device=device)
         self._step = torch.zeros(1, dtype=torch.int64, device=device)
         self._rewards = torch.zeros(self._longest, count, dtype=self._sim.dtype, device=device)
-        # in parts: what takes most of the time to compile grows faster than its size
-        fuse = fused if compiles else _plain
-        self._find = fuse(self._paths)
-        self._choose = [fuse(chooser.choose) for chooser in self._choosers]
-        self._move = fuse(self._moved)
-        self._advance: Callable[[], object] | None = None
+        # in parts: the time to compile one grows faster than its size
+        self._find = fused(self._paths) if compiles else self._paths
+        self._choose = [fused(chooser.choose) if compiles else chooser.choose for chooser in self._choosers]
+        self._move = fused(self._moved) if compiles else self._moved
+        self._advance: Callable[[], object] = self._eager
 
     def played(self, jobs: Sequence[Job]) -> Batch:
         """Some episodes, in their order."""
         device, seed = self._sim.device, episode_seed(jobs[0].seed, jobs[0].number) % 2**63
-        entries, dice = (
-            torch.tensor([job.entry for job in jobs], device=device),
-            torch.Generator(device).manual_seed(seed),
-        )
+        entries = torch.tensor([job.entry for job in jobs], device=device)
+        dice = torch.Generator(device).manual_seed(seed)
         fresh = self._sim.start_at(entries, self._starts(entries, dice))
         if len(self._choosers) == 1:
             orders_ = _orders(jobs, self._sim.bank.objects, device)
@@ -141,8 +131,9 @@ class _Worlds:
         self._step.zero_()
         for chooser, names in zip(self._choosers, ([ROBOT] * len(jobs), [job.partner for job in jobs]), strict=False):
             chooser.begin(jobs, names, dice, steps=self._longest)
-        if self._advance is None:
-            self._advance = self._prepared()
+        if device.type == "cuda" and self._advance == self._eager:
+            changed = [t for chooser in self._choosers for t in chooser.remembered]
+            self._advance = captured(self._eager, [*self._play.tensors(), *changed, self._step])
         steps = 0
         while steps < self._longest:
             self._advance()
@@ -167,14 +158,6 @@ class _Worlds:
         found = torch.stack([starts[other[:, who], who] for who in range(2)], 1)
         gap = found[:, 0, :2] - found[:, 1, :2]
         return torch.where((torch.hypot(gap[:, 0], gap[:, 1]) < APART_M)[:, None, None], own, found)
-
-    def _prepared(self) -> Callable[[], object]:
-        """A step, on a GPU as one CUDA graph."""
-        changed = [*self._play.tensors(), *(t for chooser in self._choosers for t in chooser.remembered), self._step]
-        was = [t.clone() for t in changed]
-        self._eager()  # makes room for the rows
-        overwrite(changed, was)
-        return captured(self._eager, changed) if self._sim.device.type == "cuda" else self._eager
 
     def _eager(self) -> None:
         """One step of all worlds, in place."""

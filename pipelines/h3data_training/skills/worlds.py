@@ -81,8 +81,9 @@ class HeldSkills(HeldSteps):
             shown["arm_depth"] = scaled_depth(self._cameras.observe(self.play)["depth"])[..., None]
         if not self._shown:
             self._shown = {name: tensor.clone() for name, tensor in shown.items()}
-        for name, tensor in shown.items():  # what a captured graph writes to in every replay
-            self._shown[name].copy_(tensor)
+        overwrite(
+            (self._shown[name] for name in shown), shown.values()
+        )  # a captured graph writes there in every replay
 
     def _step_held(self, k: int) -> None:
         self._move(k == self.hold - 1)
@@ -102,12 +103,12 @@ class HeldSkills(HeldSteps):
         ]  # fmt: skip
 
     def taught(self) -> Tensor:
-        """As of `h3data_training.ppo.Worlds`."""
+        """Actions of the scripted teacher in these states, [W, A]."""
         with torch.no_grad():
             return taught(self.sim, self.play, self.hold, by_sight=self._by_sight)
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """As of `h3data_training.ppo.Worlds`."""
+        """Columns of the learning curve that follow from the totals by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
             "reward": total["reward"] / steps, "succeeded": total["succeeded"] / ended, "failed": total["failed"] / ended,

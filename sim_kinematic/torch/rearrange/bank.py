@@ -31,7 +31,7 @@ ROBOT, HUMAN, FLOOR = 0, 1, 2
 
 
 class BankFloor(Floor, Protocol):
-    """What is read of a `h3data.scene.FreeSpace`."""
+    """The parts of a `h3data.scene.FreeSpace` that rearrangement on a device reads."""
 
     @property
     def floor_y(self) -> float: ...

@@ -88,7 +88,8 @@ class View(NamedTuple):
 
     @property
     def known_paths(self) -> Paths:
-        return self.paths or Paths.of(self.sim, self.play, self.places)
+        assert self.paths is not None, "`observed` looks them up once for all observations"
+        return self.paths
 
     @property
     def hands(self) -> Hands:
