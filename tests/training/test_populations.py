@@ -382,6 +382,64 @@ def fabricated(rng: np.random.Generator, *, wanted: int, network: ChooserNetwork
     )  # fmt: skip
 
 
+def updated(settings: PopulationSettings, *, device: str = "cpu", updates: int = 1) -> ChooserLearner:
+    """A robot that has learned from the same five episodes so many times, with its critic alone at first."""
+    learner, rng = ChooserLearner(settings, ROBOT, seed=0, device=device), np.random.default_rng(4)
+    played = [fabricated(rng, wanted=5, network=learner.network()) for _ in range(5)]
+    every = Batch.joined([Batch((), {ROBOT: d}) for d in played]).decisions[ROBOT]
+    for update in range(updates):
+        learner.update(every, plan_at(settings, 0.0, update), update=update)
+    return learner
+
+
+@pytest.mark.usefixtures("one_torch_thread")
+def test_a_minibatch_that_is_not_full_teaches_nothing_else() -> None:
+    exact, wider = (updated(replace(SMALL, chunks_per_minibatch=size, critic_updates=0)) for size in (25, 40))
+    for name, weight in exact.net.state_dict().items():
+        torch.testing.assert_close(wider.net.state_dict()[name], weight, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.usefixtures("one_torch_thread")
+def test_at_first_only_the_critic_learns() -> None:
+    learner = updated(SMALL)
+    fresh = ChooserLearner(SMALL, ROBOT, seed=0)
+    moved = {name for name, w in fresh.net.state_dict().items() if not torch.equal(w, learner.net.state_dict()[name])}
+    assert moved == {name for name in moved if name.startswith("worth.")} != set()
+
+
+@pytest.mark.usefixtures("one_torch_thread")
+def test_a_learner_goes_on_from_its_state() -> None:
+    whole, part = updated(SMALL, updates=2), updated(SMALL)
+    other = ChooserLearner(SMALL, ROBOT, seed=7)
+    other.restore(part.state)
+    rng = np.random.default_rng(4)
+    fresh = ChooserLearner(SMALL, ROBOT, seed=0).network()
+    played = [fabricated(rng, wanted=5, network=fresh) for _ in range(5)]
+    other.seed = 0  # of its minibatches
+    every = Batch.joined([Batch((), {ROBOT: d}) for d in played]).decisions[ROBOT]
+    other.update(every, plan_at(SMALL, 0.0, 1), update=1)
+    assert all(torch.equal(w, other.net.state_dict()[name]) for name, w in whole.net.state_dict().items())
+
+
+@pytest.mark.gpu
+def test_gradient_steps_as_one_graph_learn_the_same() -> None:
+    on_cpu, on_gpu = (updated(SMALL, device=device, updates=3) for device in ("cpu", "cuda"))
+    for name, weight in on_cpu.net.state_dict().items():
+        torch.testing.assert_close(on_gpu.net.state_dict()[name].cpu(), weight, atol=1e-4, rtol=1e-3)
+
+
+@given(st.sampled_from(NAMES), st.integers(1, 4096))
+def test_partners_take_as_many_gradient_steps_as_the_robot(population: str, worlds: int) -> None:
+    settings = PopulationSettings(population=population).in_worlds(worlds)
+    partners, whole = len(settings.partners), settings.minibatch_of(ROBOT)
+    assert whole == settings.chunks_per_minibatch
+    for name in settings.learners[1:]:
+        own = settings.minibatch_of(name)
+        assert own <= whole
+        assert own * partners <= whole or own == min(whole, 12)  # with fewer a gradient is noise
+        assert own * (partners + 1) > whole - partners
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [ROBOT, pytest.param("partner_0", marks=pytest.mark.slow)])
 @pytest.mark.usefixtures("one_torch_thread")

@@ -5,9 +5,9 @@ A decision takes as many simulated steps as it takes; what comes after it is dis
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.policies.choosers.chooser_network import KIND, ChooserNetwork
 from sim_kinematic.policies.pictured import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from sim_kinematic.torch.graph import captured, overwrite
 
 LEARNED_FROM = ("each", "rest", "allowed", "chosen", "log_prob", "told", "advantage", "target")
 """Columns of a minibatch."""
@@ -53,7 +54,35 @@ class ChooserLearner:
         torch.manual_seed(episode_seed(seed, settings.learners.index(name)))  # initial weights
         self.device = torch.device(device)
         self.net = Chooser(settings, agent=self.agent, objects=self.objects).to(self.device)
-        self.optimizer = torch.optim.Adam(self.net.parameters(), settings.rate, eps=1e-5)
+        self._on_gpu = self.device.type == "cuda"
+        self._rate, self._entropy = (torch.tensor(x, device=self.device) for x in (settings.rate, settings.entropy))
+        self._acts = torch.ones((), device=self.device)
+        self.optimizer = torch.optim.Adam(self.net.parameters(), self._rate, eps=1e-5, capturable=self._on_gpu)
+        self._x: dict[str, Tensor] = {}
+        """The minibatch that a gradient step learns from,"""
+        self._means = torch.zeros(4, device=self.device)
+        """and what it finds: loss of the critic, entropy, KL divergence, share of clipped ratios."""
+        self._step: Callable[[], None] = self._eager
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint keeps: numbers only."""
+        return {"net": self.net.state_dict(), "optimizer": self.optimizer.state_dict()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Goes on from a `state`, of any device.
+
+        Raises:
+            KeyError: a part is missing,
+            RuntimeError, ValueError: or of another shape.
+        """
+        self.net.load_state_dict(state["net"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self._step = self._eager  # a graph would go on with what Adam remembered before
+        for group in self.optimizer.param_groups:
+            group["lr"], group["capturable"] = self._rate, self._on_gpu
+        for kept in self.optimizer.state.values():
+            kept["step"] = kept["step"].to(self.device)
 
     def network(self, training: dict | None = None) -> ChooserNetwork:
         """The policy so far."""
@@ -68,8 +97,8 @@ class ChooserLearner:
     def update(self, decisions: Decisions, plan: Plan, *, update: int) -> dict[str, float]:
         """Learns from decisions; returns losses by name."""
         s = self.settings
-        for group in self.optimizer.param_groups:
-            group["lr"] = plan.rate
+        for tensor, value in ((self._rate, plan.rate), (self._entropy, plan.entropy), (self._acts, float(plan.acts))):
+            tensor.fill_(value)
         x = {
             f.name: torch.as_tensor(getattr(decisions, f.name), device=self.device)
             for f in fields(decisions)
@@ -86,24 +115,49 @@ class ChooserLearner:
         states = x["state"][at[0]]
         batch = {name: x[name][at] for name in LEARNED_FROM} | {"valid": valid.float()}
         batch["allowed"] |= ~valid[..., None]
+        size = s.minibatch_of(self.name)
         sums, count, moved = np.zeros(4), 0, 0.0
         for epoch in range(s.epochs):
             if moved > s.kl_most:
                 break
             rng = generator(self.seed, f"minibatches/{self.name}", step=update * s.epochs + epoch)
             order = torch.as_tensor(rng.permutation(at.shape[1]), device=self.device)
-            parts = order.split(s.chunks_per_minibatch)
-            means = [self._step({n: t[:, rows] for n, t in batch.items()}, states[rows], plan) for rows in parts]
-            sums, count, moved = sums + sum(means), count + len(means), float(np.mean(means, 0)[2])
+            missing = order.new_full((-len(order) % size,), -1)
+            found = [self._learned(batch, states, rows) for rows in torch.cat([order, missing]).split(size)]
+            means = torch.stack(found).double().cpu().numpy()
+            sums, count, moved = sums + means.sum(0), count + len(means), float(means.mean(0)[2])
         explained = 1 - float(advantage.var()) / max(float(target.var()), 1e-8)
         names = ("value_loss", "entropy", "kl", "clipped")
         last = {"kl": moved, "explained": explained, "gradient_steps": count}
         return dict(zip(names, (sums / count).tolist(), strict=True)) | last
 
-    def _step(self, x: dict[str, Tensor], state: Tensor, plan: Plan) -> np.ndarray:
-        s, net, valid = self.settings, self.net, x["valid"]
+    def _learned(self, batch: Mapping[str, Tensor], states: Tensor, rows: Tensor) -> Tensor:
+        """A gradient step with chunks of these numbers, -1 for none, and its means [4]."""
+        x = {name: t[:, rows] for name, t in batch.items()} | {"state": states[rows]}
+        x["valid"] = x["valid"] * (rows >= 0)
+        if self._on_gpu and self._x:
+            overwrite(self._x.values(), x.values())
+        else:
+            self._x = x
+        if self._on_gpu and self._step == self._eager:
+            self._step = captured(self._eager, [*(t.detach() for t in self.net.parameters()), *self._moments()])
+        self._step()
+        return self._means.clone()
+
+    def _moments(self) -> list[Tensor]:
+        """What Adam remembers, which it would otherwise make in its first step."""
+        for weight in self.net.parameters():
+            if not self.optimizer.state[weight]:
+                zeros = {name: torch.zeros_like(weight) for name in ("exp_avg", "exp_avg_sq")}
+                self.optimizer.state[weight] = {"step": torch.zeros((), device=self.device), **zeros}
+        return [t for kept in self.optimizer.state.values() for t in kept.values()]
+
+    def _eager(self) -> None:
+        """A gradient step, operation by operation, so that a CUDA graph can capture it."""
+        s, net, x = self.settings, self.net, self._x
+        valid = x["valid"]
         total = valid.sum()
-        scores = net(x["each"], x["rest"], state).masked_fill(~x["allowed"], -torch.inf)
+        scores = net(x["each"], x["rest"], x["state"]).masked_fill(~x["allowed"], -torch.inf)
         log_probs = scores.log_softmax(-1)
         log_prob = log_probs.gather(-1, x["chosen"][..., None]).squeeze(-1)
         entropy = -(log_probs.exp() * log_probs.masked_fill(~x["allowed"], 0.0)).sum(-1)
@@ -111,18 +165,15 @@ class ChooserLearner:
         ratio, gain = moved.exp(), x["advantage"]
         worth = torch.minimum(ratio * gain, ratio.clamp(1 - s.clip, 1 + s.clip) * gain)
         wrong = ((net.worth(x["told"]).squeeze(-1) - x["target"]).square() * valid).sum() / total
-        loss = wrong
-        if plan.acts:
-            loss = wrong - ((worth + plan.entropy * entropy) * valid).sum() / total
-        self.optimizer.zero_grad(set_to_none=True)
+        loss = wrong - self._acts * ((worth + self._entropy * entropy) * valid).sum() / total
+        self.optimizer.zero_grad(set_to_none=False)
         loss.backward()
         nn.utils.clip_grad_norm_(net.parameters(), s.gradient_norm)
         self.optimizer.step()
         with torch.no_grad():
             outside = ((ratio - 1).abs() > s.clip).float()
             parts = (entropy, (ratio - 1) - moved, outside)
-            means = torch.stack([wrong, *((t * valid).sum() / total for t in parts)])
-        return means.double().cpu().numpy()
+            self._means.copy_(torch.stack([wrong, *((t * valid).sum() / total for t in parts)]))
 
     def _told(self, x: Mapping[str, Tensor], counts: Tensor, partners: Sequence[str]) -> Tensor:
         """Inputs of the critic, which include who the partner is, [D, n]."""

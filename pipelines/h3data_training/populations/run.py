@@ -234,8 +234,7 @@ class _Run:
     def _restore(self, kept: dict[str, Any]) -> None:
         try:
             for name, learner in self.learners.items():
-                learner.net.load_state_dict(kept["learners"][name]["net"])
-                learner.optimizer.load_state_dict(kept["learners"][name]["optimizer"])
+                learner.restore(kept["learners"][name])
             self.curve, self.before_s, self.setups_s = kept["curve"], kept["seconds"], kept["setups_s"]
         except (KeyError, RuntimeError, ValueError) as fault:
             reason = str(fault).splitlines()[0]
@@ -246,10 +245,7 @@ class _Run:
         kept = {
             "format": FORMAT, "settings": self.settings.as_dict(), "seed": self.seed, "curve": self.curve,
             "seconds": self.seconds, "setups_s": self.setups_s,
-            "learners": {
-                name: {"net": learner.net.state_dict(), "optimizer": learner.optimizer.state_dict()}
-                for name, learner in self.learners.items()
-            },
+            "learners": {name: learner.state for name, learner in self.learners.items()},
         }  # fmt: skip
         try:
             with part_file(self.folder / CHECKPOINT) as part:

@@ -24,6 +24,8 @@ LONGEST = {"paper": 750, "natural": 1500}
 ABLATIONS = ("humanoid_gps", "primitives")
 """What a robot can be trained without (paper, additional ablations): knowing where the person is; the primitives of
 navigation."""
+LEAST_CHUNKS = 12
+"""Chunks of a minibatch of a partner: with fewer its gradient is noise."""
 BOTH = "both"
 """People walk like this in one half of the episodes and like that in the other."""
 
@@ -133,6 +135,14 @@ class PopulationSettings:
     def learners(self) -> tuple[str, ...]:
         """Names of those who learn: the robot, and partners that are not planners."""
         return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
+
+    def minibatch_of(self, learner: str) -> int:
+        """Chunks of a minibatch of a learner. Each of P partners plays in one of P episodes: theirs are smaller by as much, so
+        that all take as many gradient steps in an update, but no smaller than `LEAST_CHUNKS`."""
+        if learner == ROBOT:
+            return self.chunks_per_minibatch
+        least = min(self.chunks_per_minibatch, LEAST_CHUNKS)
+        return max(least, self.chunks_per_minibatch // len(self.partners))
 
     def observations_of(self, agent: str) -> tuple[str, ...]:
         """Observations of a learner, the ``robot`` or a ``human``."""
