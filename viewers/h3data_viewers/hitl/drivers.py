@@ -100,12 +100,8 @@ class Driver:
 
     def go(self, xz: Any, heading: float | None = None) -> str:
         """Sets out for a place; returns why not."""
-        base = self.base
         try:
-            self.guide = Guide.to(
-                self.floor, self.place[0], xz, heading=heading,
-                speed_mps=base.max_speed_mps, turn_rad_s=base.max_turn_rad_s,
-            )  # fmt: skip
+            self.guide = Guide.to(self.floor, self.base, self.place[0], xz, heading=heading)
         except InputError as fault:
             return str(fault)
         return ""
@@ -366,6 +362,11 @@ class PersonDriver(SkillDriver):
 
 class RobotDriver(SkillDriver):
     """A robot with an arm, which its skills move."""
+
+    @property
+    def base(self) -> BaseSpec:
+        """Its own, which covers what the hand carries, too."""
+        return self.session.play.actors[self.number].base  # type: ignore[attr-defined]
 
 
 def driving_base(session: Session, number: int) -> BaseSpec:
