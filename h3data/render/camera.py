@@ -44,15 +44,22 @@ class Camera:
         """The same camera at another pose [4, 4], camera to world."""
         return replace(self, pose=np.asarray(pose, np.float64))
 
-    def resized(self, width: int, height: int) -> Camera:
-        """The same camera with pictures of another size [px]: its horizontal field of view and axis stay, pixels stay square
-        if they are; an equirectangular one keeps both fields of view."""
-        across = width / self.width
-        down = height / self.height if self.projection == "equirectangular" else across
+    def resized(self, width: int, height: int, *, crop: bool = True) -> Camera:
+        """The same camera with pictures of another size [px]: its axis stays, pixels stay square if they are; an
+        equirectangular one keeps both fields of view.
+
+        Args:
+            width: New width.
+            height: New height.
+            crop: Whether to keep the horizontal field of view even where a flatter picture loses its top and bottom; else
+                everything in view stays in view, and a narrow picture sees more at its sides instead.
+        """
+        across, down = width / self.width, height / self.height
+        if self.projection != "equirectangular":
+            across = down = across if crop else min(across, down)
+        cx = width / 2 + (self.cx - self.width / 2) * across
         cy = height / 2 + (self.cy - self.height / 2) * down
-        return replace(
-            self, width=width, height=height, fx=self.fx * across, fy=self.fy * down, cx=self.cx * across, cy=cy
-        )
+        return replace(self, width=width, height=height, fx=self.fx * across, fy=self.fy * down, cx=cx, cy=cy)
 
     def __repr__(self) -> str:
         view = f"hFOV {self.hfov_deg:.1f} deg"

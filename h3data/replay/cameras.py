@@ -137,7 +137,7 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     camera = pinhole(
         width, height, hfov_deg=hfov_deg, name="top_down", pose=pose, hidden_layers=("ceiling",), near=near
     )
-    return CameraTrack(camera=camera, poses=pose[None])
+    return CameraTrack(camera=camera, poses=pose[None], crops=False)
 
 
 def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
@@ -153,7 +153,7 @@ def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTra
         width, height, width_m=width / scale, name="top_down_orthographic", pose=pose, hidden_layers=("ceiling",),
         near=_ceiling_cut(replay, float(eye[1]), lowest=float(lo[1]) + margin_m),
     )  # fmt: skip
-    return CameraTrack(camera=camera, poses=pose[None])
+    return CameraTrack(camera=camera, poses=pose[None], crops=False)
 
 
 def _ceiling_cut(replay: Replay, eye_y: float, *, lowest: float) -> float:
@@ -182,7 +182,7 @@ def orbit(replay: Replay) -> CameraTrack:
     target = (float(middle[0]), float(lo[1]) + 0.5, float(middle[2]))
     poses = orbit_poses(times, target, around) if len(times) else np.eye(4)[None]
     camera = pinhole(960, 540, hfov_deg=50, name="orbit", pose=poses[0], hidden_layers=("ceiling",))
-    return CameraTrack(camera=camera, poses=poses)
+    return CameraTrack(camera=camera, poses=poses, crops=False)
 
 
 PLACEHOLDER_STAGE_M = 10.0

@@ -102,6 +102,8 @@ class CameraTrack:
     """4x4 matrices from camera to world, shape [T, 4, 4]; [1, 4, 4] for a static camera."""
     nears: Array | None = None
     """`Camera.near` at every step, shape [T] [m]; None = that of ``camera`` throughout."""
+    crops: bool = True
+    """Whether `resized` may cut off the top and bottom of the picture; False: a view of the whole home stays one."""
 
     def at(self, step: int) -> Camera:
         """The camera at one step."""
@@ -110,7 +112,7 @@ class CameraTrack:
 
     def resized(self, width: int, height: int) -> CameraTrack:
         """The same with pictures of another size [px]; see `Camera.resized`."""
-        return replace(self, camera=self.camera.resized(width, height))
+        return replace(self, camera=self.camera.resized(width, height, crop=self.crops))
 
 
 def forward_fill(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -61,6 +61,18 @@ def test_pictures_of_another_size_show_the_same(camera: Camera):
     np.testing.assert_allclose(middle, [[camera.width / 2, 15]], atol=1e-9)
 
 
+@pytest.mark.parametrize("size", [(50, 20), (20, 50), (300, 7)])
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.projection)
+def test_pictures_of_another_shape_lose_nothing_without_cropping(camera: Camera, size: tuple[int, int]):
+    corners = np.array([[u, v] for u in (0, camera.width) for v in (0, camera.height)])
+    rays = np.stack([(corners[:, 0] - camera.cx) / camera.fx, (corners[:, 1] - camera.cy) / camera.fy], -1)
+    resized = camera.resized(*size, crop=False)
+    pixels = rays * [resized.fx, resized.fy] + [resized.cx, resized.cy]
+    assert (pixels > -1e-9).all()
+    assert (pixels < np.array(size) + 1e-9).all()
+    assert np.isclose(np.ptp(pixels, axis=0), size).any(), "no smaller than it has to be"
+
+
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.projection)
 def test_points_on_the_ray_of_a_pixel_appear_in_its_centre(camera: Camera):
     camera = camera.at(look_at([1, 2, 3], [0.5, 1.7, -2]))

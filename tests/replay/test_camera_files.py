@@ -143,6 +143,19 @@ def test_overviews_see_into_rooms_without_ceilings(replay, name):
     assert shares[1] > 0.3
 
 
+@pytest.mark.parametrize("size", [(640, 480), (480, 640), (1280, 240), (120, 640)])
+@pytest.mark.parametrize("name", ["top_down", "top_down_orthographic"])
+def test_views_from_above_show_the_whole_home_in_any_shape(replay, name, size):
+    """Floor and wall tops of all rooms are in the picture, and fill it in one direction."""
+    rooms = np.concatenate([room.rectangles for room in replay.scene.rooms])
+    heights = replay.scene.bounds[:, 1]
+    points = [[x, y, z] for x in rooms[:, [0, 2]].ravel() for z in rooms[:, [1, 3]].ravel() for y in heights]
+    pixels, _ = camera_track(replay, name).resized(*size).at(0).project(points)
+    assert (pixels >= 0).all()
+    assert (pixels <= size).all()
+    assert (np.ptp(pixels, axis=0) / size).max() > 0.85
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -26,7 +26,7 @@ from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.policies.skills.names import recorded_skills, skills_of
-from sim_kinematic.policies.skills.player import LearnedSkill
+from sim_kinematic.policies.skills.player import NetworkSkill
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.skill_judging import judge
 from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, draw_starts
@@ -309,7 +309,7 @@ def test_the_file_of_one_that_sees_is_shown_what_it_saw_in_training(pictured: Pa
             seen.append(shown["arm_depth"])
             return super().__call__(shown, last, state)
 
-    own = LearnedSkill(Watched(card=learned.network.card, arrays=learned.network.arrays), rules=SkillSpec(arm_steps=4))
+    own = NetworkSkill(Watched(card=learned.network.card, arrays=learned.network.arrays), rules=SkillSpec(arm_steps=4))
     assert judge(episode, start, {"pick": own}).steps <= 4
     sim = SkillTensors("pick", SkillBank.of([(episode, episode.free, [start])]), device="cpu", dtype=torch.float64)
     begun = sim.step(sim.before_the_first(torch.tensor([-1])), torch.zeros(1, 10, dtype=torch.float64))

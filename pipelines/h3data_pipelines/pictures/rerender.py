@@ -83,7 +83,8 @@ class Rerender:
     """mp4 (H.264) or av1: videos for viewing. png: images, depth as 16-bit millimetres, ids as 16-bit id + 1.
     data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
     size: str = ""
-    """Size of the pictures such as 1280x720 (default: the camera's own). Its horizontal field of view stays."""
+    """Size of the pictures such as 1280x720 (default: the camera's own). The horizontal field of view stays; top_down,
+    top_down_orthographic and orbit keep the whole picture in view."""
     samples: Literal[1, 4] | None = None
     """Samples of colour per pixel: 4 smooths edges (default: 4 for mp4 and av1, 1 for png and data)."""
     people: PeopleOption = "skin"

@@ -14,8 +14,8 @@ from sim_kinematic.agents.skills import CONTROL, Action, Objects
 
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
 """The head turns this far from the direction of the chest at most."""
-FAR_M = 1000.0
-"""Larger coordinates are refused: they are a fault of the sender, and squared they would overflow."""
+LARGEST_NUMBER = 1000.0
+"""Larger numbers are refused: they are a fault of the sender, and squared they would overflow."""
 
 Vector = tuple[float, ...]
 
@@ -116,7 +116,7 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
     if isinstance(do, Pick):
         return Action("pick", _index(do.object, objects))
     if isinstance(do, Place):
-        return Action("place", objects.held(agent), command=_numbers("a point", do.point, 3, FAR_M))
+        return Action("place", objects.held(agent), command=_numbers("a point", do.point, 3, LARGEST_NUMBER))
     if isinstance(do, Drop):
         return Action("drop", objects.held(agent))
     if isinstance(do, HandOver):
@@ -138,7 +138,7 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
         float(np.float32(np.clip(turn, -1, 1))),
         left,
         right,
-        None if head is None else _numbers("yaw and pitch of the head", head, 2, FAR_M),  # type: ignore[arg-type]
+        None if head is None else _numbers("yaw and pitch of the head", head, 2, LARGEST_NUMBER),  # type: ignore[arg-type]
     )
     return Action(CONTROL, command=checked)
 
@@ -191,12 +191,12 @@ def _target(target: Any) -> HandTarget | None:
         target = HandTarget(target)
     rotation = target.rotation
     if rotation is not None:
-        rotation = _numbers("a rotation", rotation, 4, FAR_M)
+        rotation = _numbers("a rotation", rotation, 4, LARGEST_NUMBER)
         length = float(np.linalg.norm(rotation))
         if length < 1e-6:
             raise InputError(f"Expected a quaternion xyzw other than zero, got {target.rotation!r}.")
         rotation = tuple(component / length for component in rotation)
-    return HandTarget(_numbers("the position of a hand", target.position, 3, FAR_M), rotation)
+    return HandTarget(_numbers("the position of a hand", target.position, 3, LARGEST_NUMBER), rotation)
 
 
 def _numbers(what: str, values: Sequence[float], count: int, most: float) -> Vector:

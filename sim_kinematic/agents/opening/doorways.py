@@ -72,7 +72,10 @@ class Doorways:
         """Whether one of the doors is in the way with the joints of the home at ``positions`` [J]."""
         return bool((joints_of(self.scene).shares(positions)[list(self.joints)] <= OPEN_SHARE).any())
 
-    def first(self, start: Array, stands: Callable[[FreeSpace], Array], floor: FreeSpace, positions: Array) -> int:
+    def first(
+        self, start: Array, stands: Callable[[FreeSpace], Array], floor: FreeSpace, positions: Array, *,
+        detour_m: float = DETOUR_M,
+    ) -> int:  # fmt: skip
         """The first door that has to be opened to get from a floor point [2] to a place to stand; -1: none.
 
         Args:
@@ -80,10 +83,14 @@ class Doorways:
             stands: Gives the places ``(x, z, heading)`` [N, 3] on a floor.
             floor: The floor with the joints of the home at ``positions`` [J].
             positions: Of all joints.
+            detour_m: A path without opening doors that is longer by at most this is preferred.
         """
+        around = nearest_stand(floor, stands(floor), start)[1]
+        if np.isfinite(around) and around <= detour_m:
+            return -1
         wanted = stands(self.open_floor)
         k, direct = nearest_stand(self.open_floor, wanted, start)
-        if k < 0 or nearest_stand(floor, stands(floor), start)[1] <= direct + DETOUR_M:
+        if k < 0 or (np.isfinite(around) and around <= direct + detour_m):
             return -1
         path = self.open_floor.path(start, wanted[k, :2])
         doors = self.crossed(path, positions, self.open_floor.radius_m) or self.crossed(path[-2:], positions, BESIDE_M)

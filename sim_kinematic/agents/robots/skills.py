@@ -42,7 +42,7 @@ from sim_kinematic.motion.spec import ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import drive_robots
 
-FAR_M = 1000.0
+HORIZON_M = 1000.0
 """A point so far away is in one direction from wherever the base stands."""
 TRIED, TURN_M_RAD = 24, 1.0
 """So many of the nearest stands are looked at, and turning there by one radian counts as so much of a path [m]."""
@@ -217,7 +217,7 @@ class RobotActor(RobotDriver):
             return Ending("failed", "no_way")
         yield from self._fold_arm()
         ahead = stands[n, 2] + reach_bearing(self.robot)
-        facing = stands[n, :2] + FAR_M * np.array([np.cos(ahead), -np.sin(ahead)])
+        facing = stands[n, :2] + HORIZON_M * np.array([np.cos(ahead), -np.sin(ahead)])
         return (yield from self.drive_to(stands[n, :2], facing=facing))
 
     def _straightest(self, stands: Array) -> int:

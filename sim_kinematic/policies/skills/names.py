@@ -10,7 +10,7 @@ from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from sim_kinematic.policies.learned import PREFIX, network_of, stamped
 from sim_kinematic.policies.pictured import PicturedNetwork
-from sim_kinematic.policies.skills.player import TASKS, LearnedSkill
+from sim_kinematic.policies.skills.player import TASKS, NetworkSkill
 
 LEARNED = "learned"
 """The three skills that come with the package."""
@@ -61,7 +61,7 @@ def _shipped_digest() -> str:
     return sha256("".join(digests).encode()).hexdigest()[:12]
 
 
-def skills_of(skills: str, *, robot: str = "") -> Mapping[str, LearnedSkill]:
+def skills_of(skills: str, *, robot: str = "") -> Mapping[str, NetworkSkill]:
     """The learned skills that names mean, by the skills of the upper layer that they stand for.
 
     Raises:
@@ -79,8 +79,8 @@ def skills_of(skills: str, *, robot: str = "") -> Mapping[str, LearnedSkill]:
 
 
 @lru_cache(maxsize=8)
-def _found(names: tuple[str, ...], robot: str) -> Mapping[str, LearnedSkill]:
-    found: dict[str, LearnedSkill] = {}
+def _found(names: tuple[str, ...], robot: str) -> Mapping[str, NetworkSkill]:
+    found: dict[str, NetworkSkill] = {}
     for name in names:
         network = network_of(name)
         if not isinstance(network, PicturedNetwork):
@@ -88,7 +88,7 @@ def _found(names: tuple[str, ...], robot: str) -> Mapping[str, LearnedSkill]:
                 f"Expected weights of a skill, these are for {network.task!r}. File: {name.removeprefix(PREFIX)}"
             )
         try:
-            skill = LearnedSkill(network, robot=robot)
+            skill = NetworkSkill(network, robot=robot)
         except FormatError as fault:
             raise FormatError(f"{fault} File: {name.removeprefix(PREFIX)}") from None
         if twice := [one for one in skill.skills if one in found]:

@@ -19,12 +19,12 @@ from sim_kinematic.policies.skills.observations import SENSES, SkillView, observ
 TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
 """The skills of the upper layer that a policy file stands for, by the task on its card."""
 PICTURE = "arm_depth"
-FAR_M = 6.0
-"""``pick`` and ``place`` are not begun farther than this from their target."""
+BEGINS_WITHIN_M = 6.0
+"""``pick`` and ``place`` begin within this distance of their target."""
 
 
-class LearnedSkill:
-    """One learned skill of a robot; each time it starts, its recurrent state begins anew."""
+class NetworkSkill:
+    """One learned skill of a robot, played by a network; each time it starts, its recurrent state begins anew."""
 
     def __init__(self, network: PicturedNetwork, *, robot: str = "", rules: SkillSpec | None = None) -> None:
         """
@@ -61,7 +61,7 @@ class LearnedSkill:
         if action.skill in ("nav_to_object", "nav_to_goal"):
             return ""
         gap = self._point(actor, action)[[0, 2]] - actor.xz
-        return "out_of_reach" if float(np.hypot(*gap)) > FAR_M else ""
+        return "out_of_reach" if float(np.hypot(*gap)) > BEGINS_WITHIN_M else ""
 
     def start(self, actor: RobotActor, action: Action) -> Skill:
         """As `sim_kinematic.agents.skills.LearnedSkill.start`."""

@@ -18,12 +18,12 @@ from h3data.geometry import Array
 from h3data.kernels import kernel
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.recording.records import JOINTS
-from h3data.scene import Scene
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import AJAR, joint_names
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
 from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.opening.doorways import Doorways
+from sim_kinematic.agents.opening.doorways import DETOUR_M, Doorways
 from sim_kinematic.agents.opening.openables import Openables
 from sim_kinematic.agents.oracle.actors import DiscContacts, OraclePerson, OracleRobot
 from sim_kinematic.agents.person import Person
@@ -449,8 +449,8 @@ class RearrangePlay:
             barrier=partial(self.barrier, me),
         )  # fmt: skip
 
-    def barrier(self, actor: AnyActor, k: int, at_goal: bool) -> int:
-        """As `RearrangeView.barrier`, of an agent."""
+    def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
+        """As `RearrangeView.barrier`, of an agent that rather walks ``detour_m`` farther than open a door."""
         if self.openables is None:
             return -1
         shut, positions = self.openables.barrier_of(k, at_goal=at_goal), self.openables.positions
@@ -464,12 +464,22 @@ class RearrangePlay:
             stands = actor.stands_on(self.doorways.open_floor, self.objects.poses[k, :3])
             nearest = nearest_stand(self.doorways.open_floor, stands, start)[0]
             start = stands[nearest, :2] if nearest >= 0 else start
-        door, nearer = shut, self.doorways.first(start, partial(actor.stands_on, point=point), self.floor, positions)
+        first = partial(self.doorways.first, floor=self.floor, positions=positions, detour_m=detour_m)
+        door, nearer = shut, first(start, partial(actor.stands_on, point=point))
         while nearer >= 0 and nearer != door:
             door = nearer
-            stands_before = partial(actor.stands_on, point=handles[door])
-            nearer = self.doorways.first(actor.xz, stands_before, self.floor, positions)
+            nearer = first(actor.xz, partial(actor.stands_on, point=handles[door]))
         return door
+
+    def door_before(self, actor: AnyActor, stands: Callable[[FreeSpace], Array]) -> int:
+        """The first closed door between rooms that keeps an agent from all of the places ``(x, z, heading)`` [N, 3] to stand
+        that ``stands`` gives on a floor; -1: it gets to one, or no door is to blame."""
+        if self.openables is None or not self.episode.spec.floor_moves:
+            return -1
+        positions = self.openables.positions
+        if not self.doorways.any_closed(positions):
+            return -1
+        return self.doorways.first(actor.xz, stands, self.floor, positions, detour_m=np.inf)
 
     def _at_goal(self) -> NDArray[np.bool_]:
         """Which objects are at their goals and in nobody's hand, [K]."""

@@ -17,7 +17,7 @@ from sim_kinematic.agents.skills import REASONS
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, number_count, save_pictured
 from sim_kinematic.policies.skills.names import recorded_skills, skills_of
-from sim_kinematic.policies.skills.player import LearnedSkill
+from sim_kinematic.policies.skills.player import NetworkSkill
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.skill_judging import judge, play_of
 from sim_kinematic.tasks.rearrange.skill_starts import SkillStart, draw_starts
@@ -151,7 +151,7 @@ def test_other_tasks_have_no_skills(folder: Path, tmp_path: Path, capsys: pytest
 
 # --- how they end -------------------------------------------------------------------------------------------------------
 def test_one_that_does_not_get_there_times_out(episode: RearrangeEpisode) -> None:
-    slow = LearnedSkill(constant("skill_nav"), rules=SkillSpec(nav_steps=7))
+    slow = NetworkSkill(constant("skill_nav"), rules=SkillSpec(nav_steps=7))
     result = judge(episode, start_of(episode, "nav"), {"nav_to_object": slow, "nav_to_goal": slow})
     assert (result.outcome, result.reason, result.steps) == ("failed", "timed_out", 7)
     assert result.reason in REASONS
@@ -161,7 +161,7 @@ def test_one_that_stands_before_its_target_has_arrived(episode: RearrangeEpisode
     start = start_of(episode, "nav", path_m=(0.0, 1.0))
     gap = start.point[[0, 2]] - start.stand_xz
     there = replace(start, xz=start.stand_xz, heading=float(np.arctan2(-gap[1], gap[0])))
-    still = LearnedSkill(constant("skill_nav"))
+    still = NetworkSkill(constant("skill_nav"))
     result = judge(episode, there, {"nav_to_object": still, "nav_to_goal": still})
     assert (result.outcome, result.steps) == ("done", 1)
 
@@ -175,12 +175,12 @@ def test_an_object_in_the_hand_is_taken_kept_and_dropped(
     objects = start.objects.copy()
     objects[start.target] = hand + np.array([0.0, 0.05, 0.0])
     near = replace(start, objects=objects, point=objects[start.target])
-    grips = LearnedSkill(constant("skill_pick", [0.0] * 9 + [1.0]))
+    grips = NetworkSkill(constant("skill_pick", [0.0] * 9 + [1.0]))
     assert judge(episode, near, {"pick": grips})[:3] == ("done", "", 1)
     other = objects[[1, 0]]
     wrong = replace(near, objects=other, point=other[start.target])
     assert judge(episode, wrong, {"pick": grips}).reason in ("wrong_object", "out_of_reach")
-    lets_go = LearnedSkill(constant("skill_place", [0.0] * 9 + [-1.0]))
+    lets_go = NetworkSkill(constant("skill_place", [0.0] * 9 + [-1.0]))
     place = start_of(episode, "place")
     assert judge(episode, place, {"place": lets_go})[:3] == ("failed", "dropped", 1)
     at_hand = replace(place, point=play_of(episode, place, {}).robots[0].hand_pose[:3])

@@ -40,10 +40,7 @@ class Bot:
         return self
 
     async def __aexit__(self, *_: Any) -> None:
-        if self._hearing is not None:
-            self._hearing.cancel()
-            await asyncio.gather(self._hearing, return_exceptions=True)
-            await self.socket.close()  # else its connection is dropped without having been closed
+        await self.close()
         await self.http.close()
 
     async def sit(self) -> int:
@@ -57,9 +54,17 @@ class Bot:
         return 200
 
     async def connect(self) -> None:
-        """Opens the socket."""
+        """Opens the socket; closes the one before."""
+        await self.close()
+        self.close_code = None
         self.socket = await self.http.ws_connect(self.address, compress=0)
         self._hearing = asyncio.create_task(self._hear())
+
+    async def close(self) -> None:
+        """Closes the socket, if there is one; the seat is kept."""
+        if self._hearing is not None:
+            await self.socket.close()
+            await asyncio.gather(self._hearing, return_exceptions=True)
 
     async def _hear(self) -> None:
         async for frame in self.socket:

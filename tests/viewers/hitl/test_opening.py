@@ -19,6 +19,7 @@ from h3data.errors import InputError
 from h3data.recording import read_mcap
 from h3data.recording.records import JOINTS
 from h3data_viewers.hitl import assets
+from h3data_viewers.hitl.drivers import DOOR_SHUT
 from h3data_viewers.hitl.live import LiveGame, Table
 from h3data_viewers.hitl.plan import GameOrder
 from h3data_viewers.hitl.worker import Worker
@@ -50,8 +51,8 @@ def test_a_drawer_is_opened_emptied_and_closed_and_the_recording_verifies(tmp_pa
     game = opening(tmp_path).begin(GameOrder(index=0, name="000000"))
     player, still = Player(game), 0
     player.play()
-    drawer = game.barriers()[MUG][0]
-    assert game.barriers() == [[-1, -1], [drawer, -1]]
+    drawer = game.barriers(player.number)[MUG][0]
+    assert game.barriers(player.number) == [[-1, -1], [drawer, -1]]
     assert player.send(k="pick", o=MUG, lead=True) == "It is in something that is closed."
     assert player.send(k="open", j=drawer, lead=True) == ""
     known = joints_told(player, whole=True)
@@ -67,7 +68,7 @@ def test_a_drawer_is_opened_emptied_and_closed_and_the_recording_verifies(tmp_pa
     assert still > 10
     assert known == dict(enumerate(game.columns[JOINTS][-1].tolist()))
     assert known[drawer] == pytest.approx(game.session.play.openables.joints.opened[drawer])  # type: ignore[attr-defined]
-    assert game.barriers() == [[-1, -1], [-1, -1]]
+    assert game.barriers(player.number) == [[-1, -1], [-1, -1]]
     player.send(k="pick", o=MUG, lead=True)
     player.until_free()
     assert player.send(k="close", j=drawer, lead=True) == "The hand already holds something."
@@ -87,11 +88,63 @@ def test_a_drawer_is_opened_emptied_and_closed_and_the_recording_verifies(tmp_pa
     ]
 
 
+ROOMS = {"scenes": "small2-doors:0", "seed": 2}
+"""Two closed doors, one after the other, are between the person and the cup, the first thing of the episode."""
+CUP = 0
+
+
+def test_a_closed_door_between_rooms_is_named_and_told(tmp_path: Path):
+    player = Player(LiveGame(opening(tmp_path, **ROOMS), 0))
+    player.play()
+    game, play = player.game, player.game.session.play
+    doors = play.doorways.joints  # type: ignore[attr-defined]
+    cup, other = play.objects.poses[:, :3].tolist()  # type: ignore[attr-defined]
+    (door, at_goal), (of_other, at_its_goal) = game.barriers(player.number)
+    assert (of_other, door) == (-1, at_goal) == (-1, at_its_goal)
+    assert door in doors
+    assert game.barriers(-1) == [], "who only watches opens nothing"
+    refused = [
+        player.send(k="pick", o=CUP, lead=True),
+        player.send(k="goto", p=cup),
+        *(player.send(k="open", j=k, lead=True) for k in doors if k != door),
+    ]
+    assert refused == [DOOR_SHUT] * (1 + len(doors))
+    allowed = [
+        player.send(k="open", j=door, lead=True),
+        player.send(k="goto", p=other),
+        player.send(k="pick", o=1 - CUP, lead=True),
+    ]
+    assert allowed == [""] * 3
+    labels = {k: joint["label"] for k, joint in enumerate(assets.manifest(game.session, game.app, {})["joints"])
+              if joint["passage"]}  # fmt: skip
+    assert labels == dict.fromkeys(doors, "door")
+
+
+@pytest.mark.slow
+def test_doors_between_rooms_are_named_one_after_the_other(tmp_path: Path):
+    player = Player(opening(tmp_path, **ROOMS).begin(GameOrder(index=0, name="000000")))
+    player.play()
+    game, opened = player.game, list[int]()
+    while (door := game.barriers(player.number)[CUP][0]) >= 0:
+        assert door not in opened
+        assert player.send(k="open", j=door, lead=True) == ""
+        player.until_free()
+        player.play(5)
+        opened.append(door)
+    assert len(opened) == 2
+    assert player.send(k="pick", o=CUP, lead=True) == ""
+    player.until_free()
+    assert player.said == []
+    assert game.columns[f"agent_{player.number}.grasp_body"][-1] >= 0
+    game.close()
+    assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
+
+
 @pytest.mark.slow  # in the quick suite, test_live has one without a drawer
 def test_a_game_that_was_killed_while_a_drawer_opened_goes_on(tmp_path: Path):
     player = Player(opening(tmp_path).begin(GameOrder(index=0, name="000000")))
     player.play()
-    drawer = player.game.barriers()[MUG][0]
+    drawer = player.game.barriers(player.number)[MUG][0]
     player.send(k="open", j=drawer, lead=True)
     while not 0.1 < player.game.columns[JOINTS][-1, drawer] < 0.3:
         player.play()
@@ -99,12 +152,12 @@ def test_a_game_that_was_killed_while_a_drawer_opened_goes_on(tmp_path: Path):
     again = opening(tmp_path).begin(GameOrder(index=0, name="000000"))
     np.testing.assert_array_equal(again.columns[JOINTS], player.game.columns[JOINTS])
     np.testing.assert_array_equal(again.columns["object_pose"], player.game.columns["object_pose"])
-    assert again.barriers() == player.game.barriers()
+    assert again.barriers(player.number) == player.game.barriers(player.number)
     other = Player(again)
     other.seq = player.seq
     assert len(joints_told(other, whole=True)) == again.columns[JOINTS].shape[1]
     other.until_free()
-    assert again.barriers()[MUG] == [-1, -1]
+    assert again.barriers(player.number)[MUG] == [-1, -1]
     again.close()
     assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
 
@@ -114,7 +167,7 @@ def test_a_played_robot_opens_and_takes(tmp_path: Path):
     game = opening(tmp_path, seats=("robot",), partner="solo").begin(GameOrder(index=0, name="000000"))
     player = Player(game)
     player.play()
-    player.send(k="open", j=game.barriers()[MUG][0], lead=True)
+    player.send(k="open", j=game.barriers(player.number)[MUG][0], lead=True)
     player.until_free()
     bring(player, MUG)
     assert game.session.play.at_goal[MUG], player.said  # type: ignore[attr-defined]
@@ -132,12 +185,12 @@ def test_what_cannot_be_opened(tmp_path: Path):
             player.send(k=kind, j=count)
     player.send(k="open", j=0)
     player.until_free()
-    player.send(k="close", j=player.game.barriers()[MUG][0], lead=True)
+    player.send(k="close", j=player.game.barriers(player.number)[MUG][0], lead=True)
     player.until_free()
     assert player.said == ["It is too far away to reach from here.", "It is closed already."]
     plain = Player(LiveGame(table(tmp_path), 0))
     plain.play()
-    assert plain.game.barriers() == []
+    assert plain.game.barriers(plain.number) == []
     with pytest.raises(InputError, match="the home has 0"):
         plain.send(k="open", j=0)
 

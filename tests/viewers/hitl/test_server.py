@@ -11,9 +11,12 @@ from pathlib import Path
 
 import aiohttp
 import pytest
+from aiohttp import WSCloseCode, web
+from aiohttp.test_utils import TestServer
 from yarl import URL
 
 from h3data.recording import read_mcap
+from h3data_viewers.hitl.bots.client import Client
 from sim_kinematic.tasks.resume import verify
 from tests.viewers.hitl.bot import Bot
 from tests.viewers.hitl.server import Server
@@ -109,6 +112,38 @@ async def seats(link: str) -> None:
             if not other.socket.closed:
                 await other.socket.send_str('{"k":"move","f":0.1}')
         await other.until(lambda: other.close_code == 1008)
+
+
+async def connects_again() -> None:
+    """A scripted browser that connects twice and leaves, at a server that only counts."""
+    closed: list[bool] = []
+
+    async def play(request: web.Request) -> web.WebSocketResponse:
+        socket, number = web.WebSocketResponse(), len(closed)
+        closed.append(False)
+        await socket.prepare(request)
+        async for _ in socket:
+            pass
+        closed[number] = socket.close_code == WSCloseCode.OK
+        return socket
+
+    app = web.Application()
+    app.router.add_get("/", play)
+    async with TestServer(app) as server, Client(str(server.make_url("/"))) as client:
+        client.address, client.manifest = client.link, {"objects": [], "joints": []}
+        await client.connect()
+        first = client.socket
+        await client.connect()
+        assert closed == [True, False]
+        assert first.closed
+        assert client.close_code is None, "that of the new socket"
+        second = client.socket
+    assert second.closed
+    assert closed == [True, True]
+
+
+def test_a_scripted_browser_that_connects_again_closes_its_first_socket():
+    asyncio.run(connects_again())
 
 
 @pytest.mark.slow  # a server of several processes

@@ -107,10 +107,12 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
 
 def _joints(session: Session, app: App, movable: set[str]) -> list[dict[str, Any]]:
     """Doors and drawers, where the task has any that move."""
-    if getattr(session.play, "openables", None) is None:
+    openables = getattr(session.play, "openables", None)
+    if openables is None:
         return []
     return [
-        {**rig, "label": app.joint_label(rig["name"])} for rig in joint_rigs(session.episode.scene, movable=movable)
+        {**rig, "label": app.joint_label(rig["name"]), "passage": k in openables.doors}
+        for k, rig in enumerate(joint_rigs(session.episode.scene, movable=movable))
     ]
 
 

@@ -6,6 +6,7 @@ goes on after a crash.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from h3data.errors import InputError
 from h3data.geometry import Array, heading_from_quat
 from h3data.scene import FreeSpace
-from h3data_viewers.hitl.guide import Guide
+from h3data_viewers.hitl.guide import FLOOR_SNAP_M, Guide
 from h3data_viewers.hitl.messages import (
     Act,
     Close,
@@ -42,6 +43,7 @@ from sim_kinematic.tasks.runner import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
 """Interrupts a running skill and does nothing itself."""
+DOOR_SHUT = "A closed door is in the way."
 GOAL_M = 0.02
 """A place this near to an object's goal means the goal."""
 
@@ -98,12 +100,8 @@ class Driver:
 
     def go(self, xz: Any, heading: float | None = None) -> str:
         """Sets out for a place; returns why not."""
-        base = self.base
         try:
-            self.guide = Guide.to(
-                self.floor, self.place[0], xz, heading=heading,
-                speed_mps=base.max_speed_mps, turn_rad_s=base.max_turn_rad_s,
-            )  # fmt: skip
+            self.guide = Guide.to(self.floor, self.base, self.place[0], xz, heading=heading)
         except InputError as fault:
             return str(fault)
         return ""
@@ -172,8 +170,8 @@ class SkillDriver(Driver):
             names = self.objects.names
             if message.o >= len(names):
                 raise InputError(f"There is no object {message.o}. Expected 0 to {len(names) - 1}.")
-            if self.is_shut(message.o):
-                return sentence("closed")
+            if why := self.barred(message.o, message.lead):
+                return why
             pick = Action("pick", message.o)
             return self.do([Action("nav_to_object", message.o), pick] if message.lead else [pick])
         if isinstance(message, Place):
@@ -200,8 +198,8 @@ class SkillDriver(Driver):
         if k < 0:
             return "The hand holds nothing."
         if np.linalg.norm(point - self.objects.goals[k]) < GOAL_M:
-            if self.is_shut(k, at_goal=True):
-                return sentence("closed")
+            if why := self.barred(k, lead, at_goal=True):
+                return why
             place = Action("place", k)
             return self.do([Action("nav_to_goal", k), place] if lead else [place])
         return self.put_at(point, lead)
@@ -213,13 +211,33 @@ class SkillDriver(Driver):
             raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.")
         if self.objects.held(self.number) >= 0:
             return sentence("hand_full")
+        openables = self.session.play.openables  # type: ignore[attr-defined]
+        if message.lead and self.door_before(openables.handles(openables.positions)[message.j]) not in (-1, message.j):
+            return DOOR_SHUT
         skill = Action("open" if isinstance(message, Open) else "close", message.j)
         return self.do([Action("nav_to_handle", message.j), skill] if message.lead else [skill])
 
-    def is_shut(self, k: int, *, at_goal: bool = False) -> bool:
-        """Whether something has to be opened before object ``k`` can be taken, or put at its goal."""
+    def barred(self, k: int, lead: bool, *, at_goal: bool = False) -> str:
+        """Why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
         openables = self.session.play.openables  # type: ignore[attr-defined]
-        return openables is not None and openables.barrier_of(k, at_goal=at_goal) >= 0
+        if openables is not None and openables.barrier_of(k, at_goal=at_goal) >= 0:
+            return sentence("closed")
+        point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
+        return DOOR_SHUT if lead and self.door_before(point) >= 0 else ""
+
+    def door_before(self, point: Array) -> int:
+        """The closed door between rooms that keeps the agent from where it could reach a world point [3]; -1: none."""
+        play: RearrangePlay = self.session.play  # type: ignore[assignment]
+        actor = play.actors[self.number]
+        return play.door_before(actor, partial(actor.stands_on, point=point))
+
+    def go(self, xz: Any, heading: float | None = None) -> str:
+        play: RearrangePlay = self.session.play  # type: ignore[assignment]
+        spot = play.doorways.open_floor.snap(xz, max_distance_m=FLOOR_SNAP_M)
+        place = np.array([[*spot, 0.0]])[np.isfinite(spot).all(keepdims=True)]
+        if play.door_before(play.actors[self.number], lambda _: place) >= 0:
+            return DOOR_SHUT
+        return super().go(xz, heading)
 
     def put_at(self, point: Array, lead: bool) -> str:
         """Places what is held elsewhere than at its goal."""
@@ -320,6 +338,8 @@ class PersonDriver(SkillDriver):
         if not lead:
             return self.do([place])
         stand = self.body.stand_for(point)
+        if stand is None and self.door_before(point) >= 0:
+            return DOOR_SHUT
         if stand is None:
             return "There is nowhere to stand from which it could be put there."
         self.do([place])
@@ -342,6 +362,11 @@ class PersonDriver(SkillDriver):
 
 class RobotDriver(SkillDriver):
     """A robot with an arm, which its skills move."""
+
+    @property
+    def base(self) -> BaseSpec:
+        """Its own, which covers what the hand carries, too."""
+        return self.session.play.actors[self.number].base  # type: ignore[attr-defined]
 
 
 def driving_base(session: Session, number: int) -> BaseSpec:

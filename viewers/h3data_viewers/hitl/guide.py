@@ -13,14 +13,21 @@ from shapely.ops import nearest_points
 from h3data.errors import InputError
 from h3data.geometry import Array, wrap_angle
 from h3data.scene import FreeSpace
+from sim_kinematic.avoidance.maneuvers import plan_maneuver
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.motion.spec import BaseSpec
 
 STEPS_PER_S = 30
 ARRIVED_M = 0.01
 AHEAD_RAD = 0.1
 """Walks while the next corner is at most this far off the heading, else turns on the spot: the path clears obstacles only
 along its straight legs."""
-STUCK_STEPS, STUCK_M = 45, 0.05
-"""Gives up after this many steps without getting on by this distance."""
+STUCK_STEPS = 45
+"""Gives up after this many steps in which a body has come no nearer to its next corner."""
+TURN_AS_M = 0.1
+"""To turn towards the corner by one radian counts as coming nearer by this."""
+AGAIN_M = 0.05
+"""Maneuvers again only where it has come nearer to the end by this."""
 FLOOR_SNAP_M = 0.6
 """A point this far off the free floor is moved onto it: people click on the foot of a cupboard and mean the place before it."""
 NEAR_M = 2.0
@@ -29,24 +36,30 @@ NEAR_M = 2.0
 
 @dataclass
 class Guide:
-    """The path of one body to one place."""
+    """The path of one body to one place. Where only its middle could pass, a base that maneuvers does so
+    (`sim_kinematic.avoidance.maneuvers`)."""
 
+    free: FreeSpace
+    base: BaseSpec
+    """Discs and limits by which the body moves."""
+    goal: Array
+    """Point (x, z) at which the path ends."""
     corners: list[Array]
     """Points (x, z) still to be reached."""
     heading: float | None
     """Direction to face at the end [rad]; None: any."""
-    speed_mps: float
-    turn_rad_s: float
     failed: bool = False
-    _best: float = math.inf
+    _commands: list[list[float]] = field(default_factory=list)
+    """Rest of a maneuver: forward and turn of each step."""
+    _left_m: float = math.inf
+    """Length of the path from where it last had to maneuver."""
+    _nearest: tuple[int, float] = (0, math.inf)
+    """Corners that were left and how far the first was, turn included [m], when the body last came nearer."""
     _idle: int = 0
-    _last: Array = field(default_factory=lambda: np.zeros(2))
+    """Steps since then."""
 
     @classmethod
-    def to(
-        cls, free: FreeSpace, xz: Array, goal: ArrayLike, *, speed_mps: float, turn_rad_s: float,
-        heading: float | None = None,
-    ) -> Guide:  # fmt: skip
+    def to(cls, free: FreeSpace, base: BaseSpec, xz: Array, goal: ArrayLike, *, heading: float | None = None) -> Guide:
         """The shortest path over a floor; to the nearest point within `NEAR_M` of a goal that cannot be reached.
 
         Raises:
@@ -57,34 +70,60 @@ class Guide:
             path = free.path(xz, _nearest_reachable(free, xz, goal))
         if len(path) == 0:
             raise InputError("No path leads there.")
-        return cls(list(path[1:]), heading, speed_mps, turn_rad_s, _last=np.array(xz))
+        return cls(free, base, path[-1], list(path[1:]), heading)
 
     def velocity(self, xz: Array, heading: float) -> tuple[float, float] | None:
         """Forward and turn, -1..1 each, for the next step; None: it has arrived, or has `failed`."""
+        if self._commands:
+            forward, turn = self._commands.pop(0)
+            return forward, turn
+        if not self.corners and np.hypot(*(self.goal - xz)) > ARRIVED_M:  # a maneuver has ended
+            self.corners = list(self.free.path(xz, self.goal, max_snap_m=FLOOR_SNAP_M)[1:])
         while self.corners and np.hypot(*(self.corners[0] - xz)) <= ARRIVED_M:
             self.corners.pop(0)
         if not self.corners:
             return self._turned(heading)
-        if self._is_stuck(xz):
-            self.failed = True
-            return None
         gap = self.corners[0] - xz
         left = float(wrap_angle(math.atan2(-gap[1], gap[0]) - heading))
-        turn = _share(left, self.turn_rad_s)
+        far = float(np.hypot(*gap))
+        self._note_progress(far + TURN_AS_M * abs(left))
+        if self._idle == AVOIDANCE.maneuver_after_steps and self._plans_maneuver(xz, heading):
+            return self.velocity(xz, heading)
+        if self._idle > STUCK_STEPS:
+            self.failed = True
+            return None
+        turn = _share(left, self.base.max_turn_rad_s)
         if abs(left) > AHEAD_RAD:
             return 0.0, turn
-        return _share(float(np.hypot(*gap)), self.speed_mps), turn
+        return _share(far, self.base.max_speed_mps), turn
 
     def _turned(self, heading: float) -> tuple[float, float] | None:
         left = 0.0 if self.heading is None else float(wrap_angle(self.heading - heading))
-        return None if abs(left) < ARRIVED_M else (0.0, _share(left, self.turn_rad_s))
+        return None if abs(left) < ARRIVED_M else (0.0, _share(left, self.base.max_turn_rad_s))
 
-    def _is_stuck(self, xz: Array) -> bool:
-        moved = float(np.hypot(*(xz - self._last)))
-        if moved > STUCK_M:
-            self._last, self._idle = np.array(xz), 0
+    def _note_progress(self, far_m: float) -> None:
+        corners, nearest = self._nearest
+        if len(self.corners) != corners or far_m < nearest - 1e-3:
+            self._nearest, self._idle = (len(self.corners), far_m), 0
         self._idle += 1
-        return self._idle > STUCK_STEPS
+
+    def _plans_maneuver(self, xz: Array, heading: float) -> bool:
+        """Plans commands that bring the base on, and the path from where they end; False if it does not maneuver, if there is
+        no maneuver, or if it has not got on since the last one."""
+        if not self.base.maneuvers:
+            return False
+        left = float(self.free.geodesic(xz, self.goal, max_snap_m=FLOOR_SNAP_M))
+        if left > self._left_m - AGAIN_M:
+            return False
+        self._left_m = left
+        commands = plan_maneuver(self.free, self.base, xz, heading, self.goal, _NOBODY)
+        if not len(commands):
+            return False
+        self._commands, self.corners, self._nearest = commands.tolist(), [], (0, math.inf)
+        return True
+
+
+_NOBODY = np.zeros((0, 3))
 
 
 def _share(rest: float, per_s: float) -> float:

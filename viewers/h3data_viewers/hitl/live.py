@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +126,8 @@ class LiveGame:
         self.columns: Columns = {}
         self.ended = ""
         """What ended the episode."""
-        self._barriers: tuple[bytes, list[list[int]]] = b"", []
+        self._barriers: dict[int, tuple[FreeSpace, bytes, list[list[int]]]] = {}
+        """What players have to open by agent, with the floor and the state of doors and hands for which it was found."""
 
     # --- from players -------------------------------------------------------------------------------------------------
     def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
@@ -187,20 +189,23 @@ class LiveGame:
         ack = -1 if driver is None else driver.ack
         return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
 
-    def barriers(self) -> list[list[int]]:
-        """The door or drawer that has to be opened first to take each object, and to put it at its goal; -1: none. Empty where
-        nothing opens."""
+    def barriers(self, number: int) -> list[list[int]]:
+        """The door or drawer that the player of agent ``number`` has to open first to take each object, and to put it at its
+        goal: what shuts it in, or a door between rooms that leaves no path to it; -1: none. Empty where nothing opens, and
+        for spectators."""
         play: Any = self.session.play
         openables = getattr(play, "openables", None)
-        if openables is None:
+        if openables is None or number not in self.drivers:
             return []
-        # found again only when something has been opened, closed, taken or put down
+        # found again, in up to 50 ms, only when something has been opened, closed, taken or put down: nobody gets from one
+        # side of a closed door to the other without
         key = openables.joints.is_open(openables.positions).tobytes() + play.objects.held_by.tobytes()
-        if key != self._barriers[0]:
-            count = len(play.objects.names)
-            ends = (False, True)
-            self._barriers = key, [[openables.barrier_of(k, at_goal=goal) for goal in ends] for k in range(count)]
-        return self._barriers[1]
+        known = self._barriers.get(number)
+        if known is None or known[0] is not play.floor or known[1] != key:
+            barrier = partial(play.barrier, play.actors[number], detour_m=np.inf)
+            found = [[barrier(k, at_goal) for at_goal in (False, True)] for k in range(len(play.objects.names))]
+            self._barriers[number] = known = play.floor, key, found
+        return known[2]
 
     @property
     def floor(self) -> FreeSpace:

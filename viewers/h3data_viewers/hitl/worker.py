@@ -87,7 +87,7 @@ class Running:
     """CPU time of the latest steps, with packing and sending."""
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
-    """What each player was last told of what is shut in."""
+    """What each player was last told to open first."""
     floors: dict[int, Any] = field(default_factory=dict)
     """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
     planned: dict[int, int] = field(default_factory=dict)
@@ -371,8 +371,8 @@ class Worker:
         running.whole = False
         if states:
             self.channel.send("state", running.key, states)
-        barriers = game.barriers()
         for number in running.here:
+            barriers = game.barriers(number)
             if running.barriers.get(number, []) != barriers:
                 running.barriers[number] = barriers
                 self.channel.send("told", running.key, [number, {"barriers": barriers}])

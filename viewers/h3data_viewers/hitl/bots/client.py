@@ -76,10 +76,7 @@ class Client:
         return self
 
     async def __aexit__(self, *_: Any) -> None:
-        if self._hearing is not None:
-            self._hearing.cancel()
-            await asyncio.gather(self._hearing, return_exceptions=True)
-            await self.socket.close()  # else its connection is dropped without having been closed
+        await self.close()
         await self.http.close()
 
     async def sit(self) -> int:
@@ -93,9 +90,8 @@ class Client:
         return 200
 
     async def connect(self) -> None:
-        """Opens the socket of a seat, for a new episode or once more."""
-        if self._hearing is not None:
-            self._hearing.cancel()
+        """Opens the socket of a seat, for a new episode or once more; closes the one before."""
+        await self.close()
         self.head, self.told, self.close_code = (STATE, 0, 0, 0, 0, -1, 0.0), [], None
         self.things, self._latest = [Thing() for _ in self.manifest["objects"]], 0.0
         self.joints = [joint["rest"] for joint in self.manifest["joints"]]
@@ -103,8 +99,10 @@ class Client:
         self._hearing = asyncio.create_task(self._hear())
 
     async def close(self) -> None:
-        """Closes the socket; the seat is kept."""
-        await self.socket.close()
+        """Closes the socket, if there is one; the seat is kept."""
+        if self._hearing is not None:
+            await self.socket.close()
+            await asyncio.gather(self._hearing, return_exceptions=True)
 
     async def _hear(self) -> None:
         async for frame in self.socket:

@@ -81,7 +81,8 @@ interface Message {
   why?: string;
   toast?: string;
   hud?: { task: string; left_s?: number | null; lines?: string[]; marker?: [number, number, number] | null };
-  /** For each thing the door or drawer to be opened before it is taken, and before it is put at its goal; -1: none. */
+  /** For each thing the door or drawer to be opened before it is taken, and before it is put at its goal: what shuts it in,
+   * or a door between rooms; -1: none. */
   barriers?: Barriers;
   /** The distance grid of the floor as it is now, its cells as Base64 of zlib data. */
   floor?: SdfShape & { cells: string };

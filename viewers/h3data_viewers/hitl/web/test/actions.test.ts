@@ -44,6 +44,16 @@ test("a place that is shut is opened before its thing is fetched, but what is ne
   assert.deepEqual(said, [["E", "take the mug"], ["F", "open the counter drawer: the mug goes there"]]);
 });
 
+test("a door between rooms is opened before what is, or belongs, behind it", () => {
+  const rooms = { ...MANIFEST, joints: [DOOR, { ...DOOR, label: "door", passage: true }] } as unknown as Manifest;
+  const said = ([[[1, -1], [-1, -1]], [[-1, 1], [-1, -1]]] as Barriers[]).map((barriers) => {
+    const [now, state] = at(3, 4, barriers);
+    assert.deepEqual(deed(now, true), { kind: "turn", joint: 1 });
+    return hints(now, rooms, state, "keys", null)[0]![1];
+  });
+  assert.deepEqual(said, ["open the door: the mug is behind it", "open the door: the mug belongs behind it"]);
+});
+
 test("with nothing to take nearby, the door that is near is opened or closed", () => {
   const [now, state] = at(3, 4, NONE);
   assert.deepEqual(deed(now, false), { kind: "turn", joint: 0 });

@@ -31,6 +31,8 @@ export interface ThingInfo {
 
 export interface JointInfo extends Joint {
   label: string;
+  /** Whether it is a door between rooms. */
+  passage: boolean;
 }
 
 export interface GoalInfo {

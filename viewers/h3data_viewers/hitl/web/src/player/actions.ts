@@ -10,7 +10,8 @@ export const NEAR_M = 1.1;
 /** A thing this near to its goal is where it belongs, m. */
 const AT_GOAL_M = 0.15;
 
-/** For each thing the joint to be opened before it is taken, and before it is put at its goal; -1: none. Empty: nothing opens. */
+/** For each thing the joint to be opened before it is taken, and before it is put at its goal: what shuts it in, or a door
+ * between rooms; -1: none. Empty: nothing opens. */
 export type Barriers = [number, number][];
 
 export interface Situation {
@@ -31,7 +32,7 @@ export interface Situation {
   robot: number;
   /** Of each thing whether it is where it belongs. */
   done: boolean[];
-  /** Whether it is in something that is closed. */
+  /** Whether it is in something that is closed, or behind a closed door. */
   shut: boolean[];
 }
 
@@ -84,6 +85,12 @@ export function turnText(manifest: Manifest, state: State, joint: number): strin
   return `${isOpen(info, state.joints[joint]!) ? "close" : "open"} the ${info.label}`;
 }
 
+/** Where the next thing is, or belongs, as seen from what has to be opened first. */
+function whereText(manifest: Manifest, now: Situation): string {
+  if (manifest.joints[now.first]!.passage) return now.forGoal ? "belongs behind it" : "is behind it";
+  return now.forGoal ? "goes there" : "is in it";
+}
+
 /** Keys and what they do now. `fits`: whether what is held may be put where the preview shows it; null if nobody knows. */
 export function hints(
   now: Situation, manifest: Manifest, state: State, device: string, fits: boolean | null,
@@ -102,7 +109,7 @@ export function hints(
   const takes = deed(now, false).kind === "take";
   if (takes && now.far < NEAR_M) parts.push([act, `take ${name(now.next)}`]);
   if (now.first >= 0)
-    parts.push([go, `${turnText(manifest, state, now.first)}: ${name(now.next)} ${now.forGoal ? "goes there" : "is in it"}`]);
+    parts.push([go, `${turnText(manifest, state, now.first)}: ${name(now.next)} ${whereText(manifest, now)}`]);
   else if (now.next >= 0 && now.far >= NEAR_M) parts.push([go, `walk to ${name(now.next)} and take it`]);
   if (now.jointFar < NEAR_M && now.joint !== now.first && turn) parts.push([turn, turnText(manifest, state, now.joint)]);
   return parts;
