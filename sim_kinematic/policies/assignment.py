@@ -13,6 +13,7 @@ from h3data.plugins import Registry
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies.learned import weights_hint
 from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still
 from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
 
@@ -178,7 +179,7 @@ def _unknown(task: Task, kind: str, name: str) -> InputError:
     there = [*policy_names(task, kind), *plugin_policies().names()]
     return InputError(
         f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}.{did_you_mean(name, there)} Expected one of: "
-        f"{', '.join(there)}, weights:FILE or module:name."
+        f"{', '.join(there)}, weights:FILE or module:name.{weights_hint(name)}"
     )
 
 

@@ -130,6 +130,16 @@ def test_only_deviations_from_the_protocol_are_mentioned() -> None:
     assert "human.speed_mps 1.0 (paper 2.5): 1 episode" in measure_many([replace(changed, agents=agents)]).to_text()
 
 
+def test_rearrangement_with_learned_skills_or_with_agents_that_heed_each_other_is_not_the_papers() -> None:
+    def deviations(**spec: Any) -> str:
+        episode = Episode(uid="u", episode_id="e", task="rearrange", scene="s", info={"spec": spec})
+        return protocol_deviations(Recording(episode=episode, agents=(), columns={"time_ns": np.arange(2)}))
+
+    assert deviations(people_give_way=False) == deviations() == ""
+    assert deviations(people_give_way=True) == "agents give way to each other (paper: they do not)"
+    assert deviations(skills="learned@647e4d47bdec") == "learned skills (paper: oracle skills)"
+
+
 def test_what_is_undefined_does_not_count() -> None:
     rows: list[dict[str, Any]] = [
         {"policy": "p", "values": dict.fromkeys((m.name for m in SOCIAL_NAV_PROFILE.metrics), value) | {"FD": fd}}
