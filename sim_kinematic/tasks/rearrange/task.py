@@ -32,12 +32,11 @@ from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
-    POPULATIONS,
     ROBOT_POLICIES,
-    ZSC_TEN,
     partner_plan,
     partner_policy,
     planner,
+    population_of,
     robot_policy,
 )
 from sim_kinematic.policies.recorded import RecordedCommands, RecordedPolicy, recorded_choices, recorded_commands
@@ -299,7 +298,7 @@ class Rearrange(Task):
             "policy": _robots_policy(policies),
             "partner": partner,
             "partner_plan": ",".join(p.plan for p in policies if p.plan),
-            "population": "zsc-pop" if partner in ZSC_TEN else "train-pop" if partner in POPULATIONS else "",
+            "population": population_of(partner),
         }
 
     def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
