@@ -29,7 +29,7 @@ from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPEN
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
-from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS
+from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, naming
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
     ROBOT_POLICIES,
@@ -189,7 +189,8 @@ class Rearrange(Task):
         if isinstance(policy, RecurrentChooser):
             policy.seed = seed
             if kind == "robot":
-                policy.require_body(episode.roster[number].model)
+                with naming(name):
+                    policy.require_body(episode.roster[number].model)
         return AssignedPolicy(policy, stamped(name), kind, plan)
 
     def check_policy(self, kind: str, name: str, spec: Any) -> None:
