@@ -10,7 +10,7 @@ from h3data.errors import InputError
 from h3data.metrics.episode import EpisodeMetrics, Notes, first_moments
 from h3data.metrics.metric import NAN, Metric, Series
 from h3data.metrics.report_layout import ReportLayout
-from h3data.metrics.requirements import UnmeasurableError, note_missing
+from h3data.metrics.requirements import UnmeasurableError, note_missing, require_whole
 from h3data.recording.records import Recording
 
 
@@ -97,8 +97,9 @@ class Profile:
         """Computes all its metrics of one recording.
 
         Raises:
-            UnmeasurableError: the recording lacks agents, or what every metric needs.
+            UnmeasurableError: the recording lacks agents, what every metric needs, or its last row.
         """
+        require_whole(recording)
         notes = Notes()
         return self._measured(recording, notes, self._computed(recording, notes))
 
@@ -107,6 +108,8 @@ class Profile:
         if self.compute_many is not None:
             notes = [Notes() for _ in recordings]
             with suppress(UnmeasurableError):  # one of them is enough: each by itself, to tell which
+                for recording in recordings:
+                    require_whole(recording)
                 computed = self.compute_many(recordings, notes)
                 return [self._measured(*each) for each in zip(recordings, notes, computed, strict=True)]
         measured: list[EpisodeMetrics | UnmeasurableError] = []

@@ -35,6 +35,22 @@ class MissingColumnsError(UnmeasurableError):
         )
 
 
+def require_whole(recording: Recording) -> None:
+    """Refuses an episode of a LeRobot export (`h3data.exporters.lerobot_export`).
+
+    Its last row, in which an episode succeeds or ends in contact, is left out there, so its metrics would be wrong.
+
+    Raises:
+        UnmeasurableError: it is one.
+    """
+    if "lerobot" in recording.episode.info:
+        raise UnmeasurableError(
+            "Demonstrations exported to LeRobot lack the last row of each episode, where it succeeds or fails. "
+            "Hint: measure the dataset that they were exported from.",
+            "LeRobot exports lack the last row: measure the dataset that they were exported from",
+        )
+
+
 def find_agents(recording: Recording) -> tuple[int, int]:
     """Returns the indices of the first robot and the first human; an `UnmeasurableError` names the agents instead."""
     agents = recording.agents

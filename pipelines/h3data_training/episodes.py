@@ -77,7 +77,9 @@ def _home_bank(task: tuple[Settings, str, int]) -> EpisodeBank:
         name, settings.episodes_per_home, seed=seed, spec=rules(settings), robot=settings.robot, human=settings.human
     )
     if any(len(floor.heights) for floor in bank.floors):
-        raise InputError(f"Homes with stairs are simulated on the CPU only. Hint: leave {name} out of the scenes.")
+        raise InputError(
+            f"Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave {name} out of the scenes."
+        )
     for floor in bank.floors:
         _ = floor.lattice  # built at first use, and needed on the device
     return bank

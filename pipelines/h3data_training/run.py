@@ -114,7 +114,7 @@ class _Job:
         if is_over(self.settings, kept["curve"], kept["seconds"], kept["setups_s"]):
             raise InputError(
                 f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
-                f"Hint: give it more --minutes. Folder: {self.folder}"
+                f"Hint: more --{'updates' if self.settings.updates else 'minutes'}. Folder: {self.folder}"
             )
         return kept
 

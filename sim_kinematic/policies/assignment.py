@@ -13,6 +13,7 @@ from h3data.plugins import Registry
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies.learned import PREFIX, weights_hint
 from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still
 from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
 
@@ -152,7 +153,7 @@ def task_policy(task: Task, episode: Episode, number: int, name: str) -> Assigne
     if name in own:
         return AssignedPolicy(as_policy(own[name], task, episode, number), name, kind)
     plugins = plugin_policies()
-    if ":" in name or name in plugins.names():
+    if not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
         return AssignedPolicy(as_policy(plugins.get(name), task, episode, number), name, kind)
     raise _unknown(task, kind, name)
 
@@ -162,7 +163,7 @@ def check_policy(task: Task, kind: str, name: str) -> None:
     own, plugins = policy_names(task, kind), plugin_policies()
     if name in own:
         return
-    if ":" in name or name in plugins.names():
+    if not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
         plugins.get(name)
         return
     raise _unknown(task, kind, name)
@@ -176,9 +177,15 @@ def policy_names(task: Task, kind: str) -> list[str]:
 
 def _unknown(task: Task, kind: str, name: str) -> InputError:
     there = [*policy_names(task, kind), *plugin_policies().names()]
+    if name.startswith(PREFIX):  # tasks that take files of weights have read it by now
+        whose = "robots" if kind == "robot" else "people"
+        return InputError(
+            f"Files of weights are not for {whose} of {task.name}, got {name!r}. Expected one of: {', '.join(there)} or "
+            "module:name."
+        )
     return InputError(
         f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}.{did_you_mean(name, there)} Expected one of: "
-        f"{', '.join(there)}, weights:FILE or module:name."
+        f"{', '.join(there)}, weights:FILE or module:name.{weights_hint(name)}"
     )
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,11 @@ AnyNetwork = Network | PicturedNetwork | ChooserNetwork
 def is_learned(policy: str) -> bool:
     """Whether the name of a policy means a file of weights: ``weights:FILE``, or one of `SHIPPED`."""
     return policy.startswith(PREFIX) or policy in SHIPPED
+
+
+def weights_hint(name: str) -> str:
+    """The name that was probably meant, where this one is the path of a file; else empty."""
+    return f" Hint: {PREFIX}{name}" if Path(name).is_file() else ""
 
 
 def stamped(policy: str) -> str:
@@ -205,6 +211,15 @@ class PicturedNavigation:
         if pictures and view.pictures is None:
             raise InputError(f"The policy needs {' and '.join(pictures)}, and nobody takes pictures here.")
         return shown | (view.pictures(pictures, card.picture_size) if pictures and view.pictures else {})
+
+
+@contextmanager
+def naming(policy: str) -> Iterator[None]:
+    """Adds the name of the policy to a `FormatError` that says why its network does not fit."""
+    try:
+        yield
+    except FormatError as fault:
+        raise FormatError(f"{fault} Policy: {policy}") from None
 
 
 def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation | PicturedNavigation:

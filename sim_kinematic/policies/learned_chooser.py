@@ -11,7 +11,7 @@ from h3data.errors import FormatError
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
-from sim_kinematic.policies.learned import network_of, require
+from sim_kinematic.policies.learned import naming, network_of, require
 from sim_kinematic.policies.network import Network
 from sim_kinematic.policies.rearrange_observations import SENSES, observe
 from sim_kinematic.policies.views import RearrangeView
@@ -49,11 +49,12 @@ def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser
         InputError: there is no such file, it is none, or does not fit.
     """
     network = network_of(policy)
-    if isinstance(network, ChooserNetwork):
-        return RecurrentChooser(network, objects, robot=robot)
-    if not isinstance(network, Network):
-        raise FormatError(f"Expected weights for the task {TASK}, these are for {network.task!r}.")
-    return LearnedChooser(network, objects, robot=robot)
+    with naming(policy):
+        if isinstance(network, ChooserNetwork):
+            return RecurrentChooser(network, objects, robot=robot)
+        if not isinstance(network, Network):
+            raise FormatError(f"Expected weights for the task {TASK}, these are for {network.task!r}.")
+        return LearnedChooser(network, objects, robot=robot)
 
 
 def chooser_input(view: RearrangeView, names: Sequence[str]) -> NDArray[np.float32]:

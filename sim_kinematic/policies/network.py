@@ -22,7 +22,9 @@ from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 
 FILE_FORMAT = "h3data.network/1"
-HINT = "Hint: sim_kinematic.policies.network.save_network writes one."
+HINT = "Hint: h3data train writes one, or sim_kinematic.policies.network.save_network."
+RUN_POLICY = "policy.npz"
+"""The policy file in the folder of a training run."""
 PLANES = ".planes"
 """Ends the name of a float32 array that is kept as planes of its bytes (`to_planes`)."""
 MAX_BYTES = 256 << 20
@@ -229,6 +231,10 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
             raise ValueError("it holds files that are no arrays")
         data = {n.removesuffix(PLANES): from_planes(a) if n.endswith(PLANES) else a for n, a in data.items()}
     except (FileNotFoundError, IsADirectoryError):
+        if (path / RUN_POLICY).is_file():
+            raise InputError(
+                f"Expected a file of weights, this is the folder of a training run. Hint: weights:{path / RUN_POLICY}"
+            ) from None
         raise InputError(f"Expected a file of weights, found none. {HINT} File: {path}") from None
     except _DAMAGE as fault:
         raise FormatError(

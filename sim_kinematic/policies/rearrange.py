@@ -183,6 +183,11 @@ ROBOT_POLICIES: dict[str, Callable[[], HighLevelPolicy]] = {
 PARTNERS = (*POPULATIONS, *PLANS)
 
 
+def population_of(partner: str) -> str:
+    """``zsc-pop`` for a partner of the zero-shot population, ``train-pop`` for a population of planners, else empty."""
+    return "zsc-pop" if partner in ZSC_TEN else "train-pop" if partner in POPULATIONS else ""
+
+
 def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
     """A fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
     if is_learned(name):

@@ -16,7 +16,15 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.policies.learned import SHIPPED_IN, LearnedNavigation, is_learned, navigation_of, network_of, stamped
+from sim_kinematic.policies.learned import (
+    SHIPPED_IN,
+    LearnedNavigation,
+    is_learned,
+    naming,
+    navigation_of,
+    network_of,
+    stamped,
+)
 from sim_kinematic.policies.network import load_network
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
@@ -266,7 +274,9 @@ EARLIER_NAMES = {"plain_expert": "heuristic_expert"}
 def policy_by_name(name: str) -> Policy:
     """The policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
     if is_learned(name):
-        return navigation_of(network_of(name))
+        network = network_of(name)
+        with naming(name):
+            return navigation_of(network)
     name = EARLIER_NAMES.get(name, name)
     if name not in POLICIES:
         there = [*POLICIES, *SHIPPED_IN["social_nav"]]

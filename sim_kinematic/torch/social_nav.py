@@ -136,7 +136,9 @@ class SocialNavTensors:
         self._end_on_success = end_on_success
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
         if any(len(floor.heights) for floor in bank.floors):
-            raise InputError("Homes with stairs are simulated on the CPU only. Hint: leave them out of the scenes.")
+            raise InputError(
+                "Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave them out of the scenes."
+            )
         self._lattices = Lattices.of(bank.floors, self.device, self.dtype)
         body = load_robot(robot)
         self.base = base_of(body, spec.robot)

@@ -28,6 +28,8 @@ from h3data.geometry import pose_to_matrix, quat_from_heading, quat_to_matrix
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.mesh.accessors import GltfArrays
 from h3data.mesh.glb import unpack_glb
+from h3data.metrics import UnmeasurableError, measure
+from h3data.metrics.batch import measure_files
 from h3data.recording import (
     Agent,
     AssetRef,
@@ -453,6 +455,15 @@ def test_the_action_of_a_frame_is_the_one_taken_in_it(recording: Recording, tmp_
     features = json.loads((tmp_path / "ds/meta/info.json").read_text())["features"]
     assert features["action"]["shape"] == [2]
     assert "uint64" not in {feature["dtype"] for feature in features.values()}
+
+
+def test_demonstrations_without_their_last_row_are_not_measured(recording: Recording, tmp_path: Path) -> None:
+    write_lerobot([recording, recording], tmp_path / "ds")
+    with pytest.raises(UnmeasurableError, match=r"lack the last row .* measure the dataset"):
+        measure(Dataset(tmp_path / "ds").recording(0))
+    with pytest.raises(UnmeasurableError, match="LeRobot"):
+        measure_files([tmp_path / "ds"])
+    assert measure(recording).rows == len(recording)
 
 
 def test_the_reward_is_of_the_action_that_led_to_success(recording: Recording) -> None:

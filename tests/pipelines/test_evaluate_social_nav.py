@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -128,6 +128,23 @@ def test_only_deviations_from_the_protocol_are_mentioned() -> None:
     assert measure(recording).protocol_deviations == ""
     assert measure(replace(changed, agents=agents), "field").protocol_deviations == ""
     assert "human.speed_mps 1.0 (paper 2.5): 1 episode" in measure_many([replace(changed, agents=agents)]).to_text()
+
+
+def test_rearrangement_with_learned_skills_or_with_agents_that_heed_each_other_is_not_the_papers() -> None:
+    def deviations(*, kinds: tuple[Literal["robot", "human"], ...] = ("robot", "human"), **spec: Any) -> str:
+        episode = Episode(uid="u", episode_id="e", task="rearrange", scene="s", info={"spec": spec})
+        agents = tuple(Agent(name=kind, kind=kind) for kind in kinds)
+        pose = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (2, 1))
+        poses = {f"agent_{k}.base_pose": pose for k in range(len(agents))}
+        return protocol_deviations(
+            Recording(episode=episode, agents=agents, columns={"time_ns": np.arange(2), **poses})
+        )
+
+    assert deviations(people_give_way=False) == deviations() == ""
+    assert deviations(people_give_way=True) == "agents give way to each other (paper: they do not)"
+    assert deviations(skills="learned@647e4d47bdec") == "learned skills (paper: oracle skills)"
+    alone = deviations(kinds=("human",), people_give_way=True, skills="learned@647e4d47bdec")
+    assert alone == "agents human (paper robot, human)"
 
 
 def test_what_is_undefined_does_not_count() -> None:

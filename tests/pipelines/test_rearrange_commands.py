@@ -14,6 +14,7 @@ import h3data
 from h3data.recording import recordings_equal
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import METRICS, ZSC_COLUMN, ZSC_TEN_COLUMN, Row, cross_play_table
+from h3data_pipelines.jobs.episodes import Choices
 from h3data_viewers.html_report.report import make_report
 from sim_kinematic.policies import rearrange as planners
 
@@ -225,3 +226,28 @@ def test_oracle_skills_are_played_as_worlds_on_a_device_play_them(
     ):
         other = run_json(capsys, "evaluate", task, *more, *args, tmp_path / "other", code=2)
         assert message in other["error"]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--rule", "objectz=3"], "Unknown rule 'objectz'. Did you mean 'objects'?"),
+        (["--rule", "objects=2.5"], "Expected the rule objects to be a whole number, as objects=2; got 2.5."),
+        (["--rule", "at_goal_m=NaN"], "Expected the rule at_goal_m to be a number"),
+        (["--rule", "end_on_collision=no"], "to be true or false, as end_on_collision=true; got no."),
+        (["--rule", "near_m=[1]"], "a list of numbers of length 2, as near_m=[2.0, 1.5]; got [1]."),
+        (["--rule", "max_steps=9", "--max-steps", "8"], "Expected --max-steps or --rule max_steps=..., got both."),
+    ],
+)
+def test_rules_of_other_names_and_types_are_refused(
+    options: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["generate", "rearrange", "--scenes", "small:1", *options, "-o", str(tmp_path / "ds")]) == 2
+    assert expected in capsys.readouterr().err
+
+
+def test_rules_are_numbers_words_and_lists() -> None:
+    choices = Choices(task="rearrange", rules=(("max_steps", 90), ("at_goal_m", 1), ("near_m", [1, 2])))
+    spec = choices.spec()
+    assert (spec.max_steps, spec.at_goal_m, spec.near_m) == (90, 1.0, (1.0, 2.0))
+    assert {type(spec.at_goal_m), *map(type, spec.near_m)} == {float}

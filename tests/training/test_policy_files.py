@@ -169,6 +169,23 @@ def test_other_tasks_and_robots_are_refused(file: Path) -> None:
         navigation_of(untrained(), robot="mobile_arm")
 
 
+def test_a_policy_that_is_named_wrongly_is_told_its_name(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "policy.npz").write_bytes(file.read_bytes())
+    for task, policy, expected in (
+        ("rearrange", "end_to_end", "these are for 'social_nav'. Policy: end_to_end"),
+        ("social_nav", "plan_pop_3_robot", "these are for 'rearrange'. Policy: plan_pop_3_robot"),
+        ("wander", f"weights:{run / 'policy.npz'}", "Files of weights are not for robots of wander"),
+        ("social_nav", str(run / "policy.npz"), f"Hint: weights:{run / 'policy.npz'}"),
+        ("social_nav", f"weights:{run}", f"the folder of a training run. Hint: weights:{run / 'policy.npz'}"),
+    ):
+        assert main(["generate", task, "--scenes", "small:1", "--policy", policy, "-o", str(tmp_path / "ds")]) == 2
+        assert expected in capsys.readouterr().err
+
+
 def saved(tmp_path: Path, *, drop: str = "", text: str | None = None, **arrays: Any) -> Path:
     network = untrained()
     card = msgspec.json.encode(network.card).decode() if text is None else text

@@ -236,6 +236,7 @@ def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], t
         with pytest.raises(FormatError, match="Expected a bank of episodes") as caught:
             load_bank(file)
         assert "\n" not in str(caught.value)
+        assert "pickle" not in str(caught.value)
     for at in rng.integers(0, len(whole), 40).tolist():  # bits of headers may not matter
         file.write_bytes(whole[:at] + bytes([whole[at] ^ (1 << int(rng.integers(8)))]) + whole[at + 1 :])
         with contextlib.suppress(FormatError):

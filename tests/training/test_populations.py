@@ -531,7 +531,7 @@ def test_it_comes_to_the_same_weights_interrupted_and_on_more_workers(
     drop = ("seconds", "playing_share", "steps_per_s")
     for a, b in zip(curve_of(tmp_path), curve_of(whole), strict=True):
         assert {k: v for k, v in a.items() if k not in drop} == {k: v for k, v in b.items() if k not in drop}
-    with pytest.raises(InputError, match=r"The run is over: 3 updates"):
+    with pytest.raises(InputError, match=r"The run is over: 3 updates .* Hint: more --updates"):
         train(tmp_path, SMALL, workers=1, episodes=episodes, resume=True)
 
 

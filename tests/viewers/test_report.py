@@ -274,6 +274,26 @@ def test_rearrangement_by_population_and_partner(tmp_path: Path) -> None:
     assert "Social navigation: there are no episodes of it." in report.missing
 
 
+def test_each_partner_that_shares_a_recording_belongs_to_its_own_population(tmp_path: Path) -> None:
+    shared = tidy(30, policy="p", partner="plan_pop_1", population="train-pop", partners=["plan_pop_1", "object_1"])
+    other = tidy(60, policy="p", partner="both", population="zsc-pop", partners=["both"])
+    write(tmp_path / "e" / "recordings" / "000000", [shared, other])
+
+    def groups() -> tuple[dict[str, list[str]], float]:
+        report = make_report([tmp_path / "e"], pictures=0)
+        found: dict[str, list[str]] = {}
+        for episode in report.data.episodes:
+            found.setdefault(episode.population, []).append(episode.partner)
+        table = next(t for t in report.tables if t.key == "rearrange")
+        return found, table.sections[0].rows[0].cells[5].value  # RE of the zero-shot population
+
+    assert groups() == ({"train": ["plan_pop_1"], "zsc": ["object_1", "both"]}, 150.0)
+    (tmp_path / "e" / "table.json").write_text(json.dumps({"job": {"task": "rearrange", "zsc": ["both"]}}))
+    told, re = groups()
+    assert told["zsc"] == ["both"]
+    assert re == 100.0
+
+
 def test_a_study_gives_estimated_means_and_contrasts(tmp_path: Path) -> None:
     random = np.random.default_rng(2)
     means = {"solo": 90, "learn_single": 60, "plan_pop3": 66}

@@ -41,6 +41,10 @@ def protocol_deviations(recording: Recording) -> str:
     if isinstance(human, Mapping) and human.get("stride") is not None:
         deviations.append("people walk curves (paper: they turn on the spot)")
     kinds = ", ".join(agent.kind for agent in recording.agents)
+    if spec.get("people_give_way") and len(recording.agents) > 1:
+        deviations.append("agents give way to each other (paper: they do not)")
+    if spec.get("skills") and "robot" in kinds:
+        deviations.append("learned skills (paper: oracle skills)")
     if kinds not in ("robot, human", ""):
         deviations.append(f"agents {kinds} (paper robot, human)")
     return ", ".join(deviations)

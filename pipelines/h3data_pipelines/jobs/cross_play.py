@@ -12,6 +12,7 @@ from h3data.metrics import Metric, Summary
 from h3data.metrics.paper.profiles import REARRANGEMENT_PROFILE
 from h3data.metrics.paper.published import published_results
 from h3data.metrics.table import aligned, deviation_lines, summarize
+from h3data_pipelines.command import counted
 
 METRICS = tuple(m for m in REARRANGEMENT_PROFILE.metrics if m.name in REARRANGEMENT_PROFILE.report.columns)
 """Metrics of the paper's table."""
@@ -59,7 +60,7 @@ class CrossPlayTable:
         if not self.cells:
             return NOTHING
         blocks = [
-            f"{self.episodes} episodes; the person alone takes {self.solo_steps:.0f} steps on average.\n"
+            f"{counted(self.episodes, 'episode')}; the person alone takes {self.solo_steps:.0f} steps on average.\n"
             "Rows: policies of the robot. Columns: partners, the policies of the person; ZSC (zero-shot coordination): the "
             "mean over a population that no robot was trained with. Mean [95% interval]."
         ]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from h3data.errors import InputError
+from h3data.errors import InputError, did_you_mean
 from h3data.recording import Recording
 from h3data.scene.scene_sets import SceneFile, SceneSet, SceneSource
 
@@ -169,14 +169,14 @@ class Choices:
             from sim_kinematic.tasks.rearrange.episode import with_oracle_skills
 
             base = with_oracle_skills(base)
-        return with_options(
-            base,
-            human_walk=self.human_walk,
-            human_speed=self.human_speed,
-            max_steps=self.max_steps,
-            spawn_distance_m=self.spawn_distance,
-            **dict(self.rules),
-        )
+        rules = {name: _rule_value(base, name, value) for name, value in self.rules}
+        for name, option in (("max_steps", "max_steps"), ("spawn_distance_m", "spawn_distance")):
+            if (asked := getattr(self, option)) is None:
+                continue
+            if name in rules:
+                raise InputError(f"Expected --{option.replace('_', '-')} or --rule {name}=..., got both.")
+            rules[name] = asked
+        return with_options(base, human_walk=self.human_walk, human_speed=self.human_speed, **rules)
 
     def job(self, drawn: Draw, **more: Any) -> Job:
         """The job of one sampled episode."""
@@ -355,6 +355,49 @@ def checked(choices: Choices) -> Choices:
         policy=named["robot"] or task.recorded_default("robot"),
         partner=named["human"] or task.recorded_default("human"),
     )
+
+
+_RULE_KINDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a word",
+    tuple: "a list of numbers",
+}
+"""Types of rules that can be given as text, and how to ask for them."""
+
+
+def _rule_value(spec: Any, name: str, value: Any) -> Any:
+    """The value of a rule, given as JSON, in the type that the rules have.
+
+    Raises:
+        InputError: the task has no such rule, or its values are of another type.
+    """
+    there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in _RULE_KINDS]
+    if name not in there:
+        raise InputError(f"Unknown rule {name!r}.{did_you_mean(name, there)} Expected one of: {', '.join(there)}.")
+    now = getattr(spec, name)
+    kind = type(now)
+    if kind is float and type(value) is int:
+        value = float(value)
+    if kind is tuple and isinstance(value, list) and len(value) == len(now):
+        value = tuple(map(_rule_number, value))
+    numbers = value if isinstance(value, tuple) else (value,)
+    if type(value) is not kind or any(number is None or number != number for number in numbers):
+        given = value if isinstance(value, str) else json.dumps(value)
+        shape = f" of length {len(now)}" if kind is tuple else ""
+        raise InputError(
+            f"Expected the rule {name} to be {_RULE_KINDS[kind]}{shape}, as {name}={_as_text(now)}; got {given}."
+        )
+    return value
+
+
+def _rule_number(value: Any) -> float | None:
+    return float(value) if type(value) in (int, float) else None
+
+
+def _as_text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def stored_person(name: str) -> str:

@@ -133,12 +133,12 @@ def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...
     Raises:
         InputError: one is unknown, or there is none.
     """
-    from sim_kinematic.policies.learned import stamped
+    from sim_kinematic.policies.learned import stamped, weights_hint
 
     names = tuple(there) if text == ALL else tuple(dict.fromkeys(filter(None, (n.strip() for n in text.split(",")))))
     strangers = [name for name in names if name not in there and ":" not in name]
     if strangers or not names:
-        near = did_you_mean(strangers[0], there) if strangers else ""
+        near = f"{did_you_mean(strangers[0], there)}{weights_hint(strangers[0])}" if strangers else ""
         raise InputError(
             f"{option}: expected some of {', '.join(there)}, weights:FILE, module:name, or all; got "
             f"{', '.join(strangers) or 'none'}.{near}"

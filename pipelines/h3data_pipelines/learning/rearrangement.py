@@ -4,13 +4,12 @@ worlds on a device."""
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from h3data.errors import InputError
 from h3data.habitat.scene_names import listed_scenes
-from h3data_pipelines.command import Outcome, claim_folder, counted
+from h3data_pipelines.command import Outcome, counted
+from h3data_pipelines.learning.folders import run_folder
 from h3data_pipelines.learning.lines import say
 
 if TYPE_CHECKING:
@@ -44,16 +43,12 @@ def train_rearrange(
     Raises:
         InputError: the folder is not empty, the disk is full, or there is no such device.
     """
-    from h3data_training.populations.run import CHECKPOINT, train
+    from h3data_training.populations.run import train
 
-    folder, needed = claim_folder(out, force=force or resume), 2 * CHECKPOINT_BYTES * len(settings.learners)
-    if force:
-        (folder / CHECKPOINT).unlink(missing_ok=True)
-    free = shutil.disk_usage(folder).free
-    if free < needed:
-        raise InputError(
-            f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
-        )
+    folder = run_folder(
+        out, force=force, resume=resume, device=device, checkpoint_bytes=CHECKPOINT_BYTES * len(settings.learners),
+        keep=episodes_file,
+    )  # fmt: skip
     result = train(
         folder, settings, seed=seed, workers=workers, device=device, resume=resume, stop_after=stop_after,
         episodes_file=episodes_file, say=say,

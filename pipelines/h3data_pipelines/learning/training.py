@@ -3,7 +3,6 @@ rearrangement beside populations of partners, on CPU cores or in worlds on a dev
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from h3data.errors import InputError
-from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, claim_folder, counted
+from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, counted
+from h3data_pipelines.learning.folders import run_folder
 from h3data_pipelines.learning.lines import say
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ class Train:
             whose = "other tasks" if self.task == "skill" else "rearrange"
             raise InputError(f"Options of {whose}, not of {self.task}: {', '.join(strangers)}.")
         from h3data_training.ranks import torchrun_place
-        from h3data_training.run import CHECKPOINT, describe, train
+        from h3data_training.run import describe, train
 
         name, settings = self._settings()
         first = None if self.init is None else _first(self.init)
@@ -154,14 +154,10 @@ class Train:
             data = {"settings": settings.as_dict(), "out": str(self.out), **_cost(settings)}
             return Outcome(text=f"{describe(settings)}\n{_plan(settings)}\nNothing has been done.", data=data)
         beside = (torchrun_place() or (0, 1))[0] > 0  # the first process of several has claimed the folder
-        folder = claim_folder(self.out, force=self.force or self.resume or beside)
-        if self.force and not beside:
-            (folder / CHECKPOINT).unlink(missing_ok=True)
-        free = shutil.disk_usage(folder).free
-        if free < (needed := _cost(settings)["checkpoint_bytes"] * 2):
-            raise InputError(
-                f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
-            )
+        folder = run_folder(
+            self.out, force=self.force and not beside, resume=self.resume or beside, device=self.device,
+            checkpoint_bytes=_cost(settings)["checkpoint_bytes"],
+        )  # fmt: skip
         result = train(
             folder, settings, seed=self.seed, device=self.device, gpus=self.gpus, init=first, resume=self.resume,
             stop_after=self.stop_after, name=name, say=say,

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.errors import InputError
-from h3data_pipelines.command import ForceFlag, JsonFlag, LightOption, Outcome, PeopleOption, claim_file, write_text
+from h3data_pipelines.command import (
+    ForceFlag,
+    JsonFlag,
+    LightOption,
+    Outcome,
+    PeopleOption,
+    claim_file,
+    counted,
+    write_text,
+)
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 
@@ -122,7 +131,7 @@ class ReportCommand:
 
 
 def _text(report: Report, written: list[Path]) -> str:
-    runs = [f"  {run.name}: {len(run.episodes)} episodes of {run.task}" for run in report.data.runs]
+    runs = [f"  {run.name}: {counted(len(run.episodes), 'episode')} of {run.task}" for run in report.data.runs]
     failed = [f"not measured: {len(names)}, {reason}" for reason, names in report.data.unmeasured.items()]
     size = written[0].stat().st_size / 1e6
     return "\n".join([f"{written[0]} ({size:.1f} MB)", *map(str, written[1:]), *runs, *failed])

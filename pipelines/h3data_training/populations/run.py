@@ -110,7 +110,7 @@ def _kept(folder: Path, settings: PopulationSettings, seed: int) -> dict[str, An
     if is_over(settings, kept["curve"], kept["seconds"], kept["setups_s"]):
         raise InputError(
             f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
-            f"Hint: give it more --minutes. Folder: {folder}"
+            f"Hint: more --{'updates' if settings.updates else 'minutes'}. Folder: {folder}"
         )
     return kept
 

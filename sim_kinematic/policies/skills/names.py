@@ -9,6 +9,7 @@ from pathlib import Path
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from sim_kinematic.policies.learned import PREFIX, network_of, stamped
+from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.pictured import PicturedNetwork
 from sim_kinematic.policies.skills.player import TASKS, NetworkSkill
 
@@ -22,8 +23,8 @@ def recorded_skills(skills: str) -> str:
     ``learned@`` and one digest of all three for those that come with the package.
 
     Args:
-        skills: `LEARNED`, a folder with policy files or with folders of training runs, policy files with commas between them,
-            or what this returns. Empty: none.
+        skills: `LEARNED`, the folder of a training run, a folder of such folders or of policy files, policy files with commas
+            between them, or what this returns. Empty: none.
 
     Raises:
         InputError: there is no such file, it is none of a skill, two are for the same skill, or it is another than the name
@@ -46,8 +47,8 @@ def recorded_skills(skills: str) -> str:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """The policy files in a folder, or of the training runs in it."""
-    runs = [file for file in sorted(folder.glob("*/policy.npz")) if file.is_file()]
+    """The policy file of a training run, those of the runs in a folder, or the policy files in it."""
+    runs = [file for file in (folder / RUN_POLICY, *sorted(folder.glob(f"*/{RUN_POLICY}"))) if file.is_file()]
     files = runs or sorted(folder.glob("*.npz"))
     if not files:
         raise InputError(f"Expected policy files of skills, found none. Folder: {folder}")

@@ -29,15 +29,14 @@ from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPEN
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
-from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS
+from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, naming
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
-    POPULATIONS,
     ROBOT_POLICIES,
-    ZSC_TEN,
     partner_plan,
     partner_policy,
     planner,
+    population_of,
     robot_policy,
 )
 from sim_kinematic.policies.recorded import RecordedCommands, RecordedPolicy, recorded_choices, recorded_commands
@@ -190,7 +189,8 @@ class Rearrange(Task):
         if isinstance(policy, RecurrentChooser):
             policy.seed = seed
             if kind == "robot":
-                policy.require_body(episode.roster[number].model)
+                with naming(name):
+                    policy.require_body(episode.roster[number].model)
         return AssignedPolicy(policy, stamped(name), kind, plan)
 
     def check_policy(self, kind: str, name: str, spec: Any) -> None:
@@ -299,7 +299,7 @@ class Rearrange(Task):
             "policy": _robots_policy(policies),
             "partner": partner,
             "partner_plan": ",".join(p.plan for p in policies if p.plan),
-            "population": "zsc-pop" if partner in ZSC_TEN else "train-pop" if partner in POPULATIONS else "",
+            "population": population_of(partner),
         }
 
     def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:

@@ -25,7 +25,7 @@ from sim_kinematic.agents.waypoint_walker import HumanPlan
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.learned import SHIPPED_IN, is_learned, navigation_of, network_of, stamped
+from sim_kinematic.policies.learned import SHIPPED_IN, is_learned, naming, navigation_of, network_of, stamped
 from sim_kinematic.policies.maneuvering import Maneuvering
 from sim_kinematic.policies.policy import FunctionPolicy
 from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, policy_by_name
@@ -146,7 +146,9 @@ class SocialNav(Task):
     def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
         kind = episode.roster[number].kind
         if kind == "robot" and is_learned(name):
-            player = navigation_of(network_of(name), robot=episode.roster[number].model)
+            network = network_of(name)
+            with naming(name):
+                player = navigation_of(network, robot=episode.roster[number].model)
             return AssignedPolicy(FunctionPolicy(player, agent_base(episode, number)), stamped(name), kind)
         if kind == "robot" and name in EXPERTS:
             return AssignedPolicy(Maneuvering(POLICIES[name], agent_base(episode, number)), name, kind)

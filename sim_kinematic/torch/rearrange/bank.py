@@ -237,4 +237,6 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
         if agent_floor(episode, ROBOT) is not episode.free:
             raise InputError(f"On a device robots are as narrow as people; {episode.roster[ROBOT].model} is wider.")
         if len(episode.free.heights):
-            raise InputError("Homes with stairs are simulated on the CPU only. Hint: leave them out of the scenes.")
+            raise InputError(
+                "Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave them out of the scenes."
+            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from hashlib import sha256
@@ -69,7 +70,8 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
         ours = about["format"] == FORMAT and len(arrays["place"]) > 0 and set(arrays) == set(ARRAYS)
         drawn_by, rules = dict(about["drawn_by"]), about["rules"]
     except Exception as fault:  # zipfile and numpy have a dozen ways to say that bits are wrong
-        raise FormatError(f"Expected a bank of episodes ({FORMAT}), this is none ({fault}). File: {path}") from None
+        why = fault if zipfile.is_zipfile(path) else "not an npz file"
+        raise FormatError(f"Expected a bank of episodes ({FORMAT}), this is none ({why}). File: {path}") from None
     if not ours:
         raise FormatError(f"Expected a bank of episodes {FORMAT}, got {about['format']}. File: {path}")
     if rules != _rules(spec):

@@ -86,6 +86,12 @@ def test_names_carry_digests_and_mean_these_weights_only(folder: Path) -> None:
     assert RearrangeSpec().skills == ""
 
 
+def test_the_folder_of_one_run_means_its_policy(folder: Path) -> None:
+    run = folder / "skill_pick"
+    np.savez(run / "starts.npz", starts=np.zeros(3))  # training keeps where its episodes begin there
+    assert recorded_skills(str(run)) == recorded_skills(str(run / "policy.npz"))
+
+
 def broken(path: Path, how: str) -> Path:
     if how == "truncated":
         path.write_bytes(path.read_bytes()[:700])

@@ -24,7 +24,12 @@ from h3data.metrics.registry import profile_for
 from h3data.recording import Recording, open_recording
 from h3data.recording.finding import find_sources
 from h3data_viewers.html_report.report_episode import ReportEpisode
-from h3data_viewers.html_report.report_evaluations import holds_results, result_episodes
+from h3data_viewers.html_report.report_evaluations import (
+    evaluated_zsc,
+    holds_results,
+    population_beside,
+    result_episodes,
+)
 from h3data_viewers.html_report.report_reading import Found, Unread, read_part
 
 _FIRST = ("social_nav", "rearrange")
@@ -80,7 +85,8 @@ def gather(
     """Reads every recording of datasets, logs and folders of these, and measures each by the profile of its task.
 
     A folder of ``h3data evaluate`` without recordings gives its results. ``zsc`` names the partners of the zero-shot
-    population (default: as the recordings say). ``spread`` may have other processes or machines read the recordings.
+    population (default: those that the evaluation was told, else as the recordings say). ``spread`` may have other processes
+    or machines read the recordings.
 
     Raises:
         InputError: there is no recording, or a path is given twice; a partner in ``zsc`` does not occur; what `tabulate`
@@ -97,7 +103,7 @@ def gather(
     gathered.add(roots, spread)
     if not gathered.count:
         raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.")
-    if zsc:
+    if zsc := zsc or evaluated_zsc(roots):
         gathered.name_population(zsc)
     return ReportData(
         paths=roots,
@@ -175,7 +181,7 @@ def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[
     metrics = episode.metrics
     return [
         replace(
-            episode, partner=str(partner),
+            episode, partner=str(partner), population=population_beside(str(partner), metrics.task),
             metrics=replace(metrics, uid=f"{metrics.uid} {partner}", episode_id=f"{metrics.episode_id} with {partner}"),
         )
         for partner in partners

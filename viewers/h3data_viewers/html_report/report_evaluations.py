@@ -1,9 +1,10 @@
-"""Results that ``h3data evaluate`` left without recordings: a row of metrics for each policy, partner and episode."""
+"""What ``h3data evaluate`` leaves: results without recordings, a row of metrics for each policy, partner and episode; to which
+population a partner belongs, and which partners ``--zsc`` named."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,26 @@ from h3data_viewers.html_report.report_episode import ReportEpisode
 def holds_results(root: Path) -> bool:
     """Whether a folder is that of an evaluation whose recordings were not kept."""
     return (root / "table.json").is_file() and (root / "episodes").is_dir() and not (root / "recordings").is_dir()
+
+
+def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
+    """The partners of the zero-shot population that every one of these evaluations was told; empty where they were told none,
+    or not the same, or a path is no evaluation."""
+    told: set[tuple[str, ...]] = set()
+    for root in roots:
+        try:
+            job = json.loads((root / "table.json").read_text(encoding="utf-8"))["job"]
+            told.add(tuple(map(str, job.get("zsc", ()))))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return ()
+    return told.pop() if len(told) == 1 else ()
+
+
+def population_beside(partner: str, task: str) -> str:
+    """``train``, ``zsc`` or empty, as `ReportEpisode.population`, for a partner that an evaluation played by name."""
+    from sim_kinematic.policies.rearrange import population_of
+
+    return population_of(partner).removesuffix("-pop") if task == "rearrange" else ""
 
 
 def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
@@ -63,7 +84,7 @@ def _episode(file: Path, row: Mapping[str, Any], asked: Mapping[str, Any], task:
         seed=int(asked.get("seed", 0)),
         policy=str(row["policy"]),
         partner=partner,
-        population="",
+        population=population_beside(partner, task),
         participant="",
         condition="",
         distance_m=np.zeros(0, np.float32),
