@@ -38,6 +38,13 @@ def write(panel: np.ndarray, text: str, x: int, y: int, color: tuple[int, int, i
     cv2.putText(panel, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, 1, cv2.LINE_AA)
 
 
+def ticks(most: float) -> np.ndarray:
+    """Round numbers from 0 to ``most``, six at most."""
+    size = 10.0 ** np.floor(np.log10(most / 5))
+    step = next(size * k for k in (1, 2, 5, 10) if most <= 5 * size * k)
+    return np.arange(0, most + step / 100, step)
+
+
 def drawn(name: str, title: str, scale: float) -> np.ndarray:
     panel = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
     wide, high = WIDTH - LEFT - 30, HEIGHT - TOP - BOTTOM
@@ -45,9 +52,8 @@ def drawn(name: str, title: str, scale: float) -> np.ndarray:
         y = int(TOP + high * (1 - share))
         cv2.line(panel, (LEFT, y), (LEFT + wide, y), (225, 225, 225), 1)
         write(panel, f"{share:.1f}", 20, y + 5)
-        write(
-            panel, f"{share * last / unit:.{0 if last > 20 * unit else 1}f}", int(LEFT + wide * share) - 10, HEIGHT - 28
-        )
+    for tick in ticks(last / unit):
+        write(panel, f"{tick:g}", int(LEFT + wide * tick * unit / last) - 10, HEIGHT - 28)
     legend = TOP + 18 if over == "decisions" else HEIGHT - BOTTOM - 17 * len(runs)
     for k, run in enumerate(runs):
         values = np.array([row[name] for row in run]) / scale

@@ -154,19 +154,18 @@ def markdown(out: Path) -> str:
 
 
 def _table(title: str, runs: dict[str, list[SeedResults]]) -> str:
-    every = [one for results in runs.values() for one in results]
-    episodes, missing = len({play["index"] for one in every for play in one.plays}), sum(one.missing for one in every)
-    head = ["robot", "seeds", *(f"{name} {TITLES[of]}" for of, name in SHOWN)]
+    missing = sum(one.missing for results in runs.values() for one in results)
+    head = ["robot", "seeds", "episodes", *(f"{name} {TITLES[of]}" for of, name in SHOWN)]
     head += [f"paper: SR / RE {title}" for title in TITLES.values()]
-    lines = [f"{title}, {episodes} episodes, SR and RE in %:", "", _row(head), _row(["---"] * len(head))]
+    lines = [f"{title}, SR and RE in %:", "", _row(head), _row(["---"] * len(head))]
     order = {run: k for k, run in enumerate(ROBOTS)}
     for run in sorted(runs, key=lambda run: (order.get(run, len(order)), run)):
         results = runs[run]
         cells = [_cell(results, name, of) for of, name in SHOWN]
+        episodes = len({play["index"] for one in results for play in one.plays})
         published = published_results().rearrange.row_of(run)
-        lines.append(
-            _row([ROBOTS.get(run, run), str(len(results)), *cells, *(_published(published, of) for of in TITLES)])
-        )
+        about = [ROBOTS.get(run, run), str(len(results)), str(episodes)]
+        lines.append(_row([*about, *cells, *(_published(published, of) for of in TITLES)]))
     return "\n".join([*lines, *(["", f"{missing} plays raised and are left out."] if missing else [])])
 
 

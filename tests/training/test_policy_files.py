@@ -237,9 +237,9 @@ def test_a_packed_policy_is_the_same_one(file: Path, tmp_path: Path) -> None:
     ("policy", "digest"),
     [
         ("end_to_end", "31ad00b88853dd58"),
-        ("learn_single", "498a2b80702c051a"),
-        ("plan_pop_3_robot", "a02792938bfa1b53"),
-        ("learn_pop", "fe4264da2f507392"),
+        ("learn_single", "5bcd3dd49c934167"),
+        ("plan_pop_3_robot", "9733b80c5ab7fb64"),
+        ("learn_pop", "182830523dfc7896"),
     ],
 )
 def test_the_policies_of_the_package_are_those_that_were_measured(policy: str, digest: str) -> None:

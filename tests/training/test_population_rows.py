@@ -94,14 +94,14 @@ def test_rows_stand_beside_the_papers(tmp_path: Path) -> None:
     head, _ = table.pop("robot"), table.pop("---")
     assert list(table) == ["Plan-Pop 3", "Learn-Pop", "Plan-Pop 3, no humanoid GPS", "my_own"]
     row = dict(zip(head, table["Plan-Pop 3, no humanoid GPS"], strict=True))
-    assert row["seeds"] == "3"
+    assert (row["seeds"], row["episodes"]) == ("3", "4")
     assert row["SR train-pop"].startswith("88 [")
     assert row["SR ZSC"].startswith("75 [")
     assert row["CR ZSC"].startswith("0.00 [0.00, 0.49")
     assert row["RC ZSC"] == "-"
     assert row["paper: SR / RE train-pop"] == "76.5 / 109"
     assert row["paper: SR / RE ZSC"] == "68.7 / 99"
-    assert table["Learn-Pop"][2] == "-"  # none of its own people played
+    assert table["Learn-Pop"][3] == "-"  # none of its own people played
     assert lines[-1] == "Unfinished: natural/plan_pop_3.0."
 
 
