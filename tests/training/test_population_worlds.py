@@ -214,6 +214,14 @@ def test_fused_steps_decide_alike(episodes: Sequence[RearrangeEpisode], short: N
         torch.testing.assert_close(theirs.log_prob, mine.log_prob, rtol=0, atol=1e-5)
 
 
+def test_a_bank_is_drawn_home_by_home(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:
+    bank = bank_of(DRAWN, tmp_path / "bank.npz", workers=1)
+    whole = RearrangeBank.of([replace(e, spec=ORACLE_RULES) for e in episodes])
+    np.testing.assert_array_equal(bank.seeds, whole.seeds)
+    np.testing.assert_array_equal(bank.first, whole.first)
+    assert len(bank.floors) == len(whole.floors)
+
+
 def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], tmp_path: Path, short: None) -> None:
     bank, file = RearrangeBank.of([replace(e, spec=SHORT) for e in episodes]), tmp_path / "bank.npz"
     save_bank(bank, file, drawn_by=drawn_by(DRAWN))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import gzip
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -32,6 +32,9 @@ from sim_kinematic.tasks.sources import Home
 if TYPE_CHECKING:
     from sim_kinematic.torch.rearrange.bank import RearrangeBank
 
+T = TypeVar("T")
+HomeTask = tuple[PopulationSettings, str, int]
+"""Settings, the name of a home and its number."""
 FORMAT = "h3data.pool/1"
 SEED = 1_000_003
 """Of all pools: runs differ in what they make of the same episodes."""
@@ -99,17 +102,25 @@ def _require_drawn_by(settings: PopulationSettings, kept: Mapping[str, Any], fil
 
 def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
     """Draws as many episodes in each home, in several processes."""
+    return Pool(format=FORMAT, drawn_by=drawn_by(settings), entries=_of_homes(_drawn, settings, workers))
+
+
+def _of_homes(make: Callable[[HomeTask], list[T]], settings: PopulationSettings, workers: int) -> list[T]:
+    """What ``make`` finds in all homes together."""
     names = [named.name for named in listed_scenes(settings.scenes)]
-    drawn = by_home(_drawn, [(settings, name, k) for k, name in enumerate(names)], workers=workers)
-    entries = [entry for of_home in drawn for entry in of_home]
-    if not entries:
+    drawn = by_home(make, [(settings, name, k) for k, name in enumerate(names)], workers=workers)
+    if not any(drawn):
         raise SceneError(f"No home of {settings.scenes} has room for an episode.")
-    return Pool(format=FORMAT, drawn_by=drawn_by(settings), entries=entries)
+    return [one for of_home in drawn for one in of_home]
 
 
-def _drawn(task: tuple[PopulationSettings, str, int]) -> list[PoolEntry]:
+def _drawn(task: HomeTask) -> list[PoolEntry]:
     settings, name, number = task
-    home = _home(name)
+    return _entries(settings, name, _home(name), number)
+
+
+def _entries(settings: PopulationSettings, name: str, home: Home, number: int) -> list[PoolEntry]:
+    """The episodes of a home, which may have room for fewer than are asked for."""
     roster = make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
     entries = []
     for index in range(settings.episodes_per_home):
@@ -119,7 +130,7 @@ def _drawn(task: tuple[PopulationSettings, str, int]) -> list[PoolEntry]:
             try:
                 episode = Rearrange().sample(home.scene, home.free, seed, rules_of(walk), roster)
             except SceneError:
-                continue  # a home may have room for fewer episodes
+                continue
             goals = [goal_record(target) for target in episode.targets]
             places = episode.pair_starts.places.tolist()
             entries.append(PoolEntry(home=name, walk=walk, seed=seed, starts=places, goals=goals))
@@ -194,7 +205,17 @@ def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Re
         bank, kept = load_bank(file)
         _require_drawn_by(settings, kept, file)
         return bank
-    episodes = episodes_of(draw_pool(settings, workers=workers), settings)
-    bank = RearrangeBank.of([replace(episode, spec=ORACLE_RULES) for episode in episodes], workers=workers)
+    bank = RearrangeBank.joined(_of_homes(_home_bank, settings, workers))
     save_bank(bank, file, drawn_by=drawn_by(settings))
     return bank
+
+
+def _home_bank(task: HomeTask) -> list[RearrangeBank]:
+    """The bank of a home; none where it has no room."""
+    from sim_kinematic.torch.rearrange.bank import RearrangeBank
+
+    settings, name, number = task
+    home, roster = _home(name), make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
+    entries = _entries(settings, name, home, number)
+    episodes = [replace(_episode(entry, home, settings, roster), spec=ORACLE_RULES) for entry in entries]
+    return [replace(RearrangeBank.of(episodes), scenes=())] if episodes else []

@@ -3,10 +3,8 @@ stand, the shortest paths to there) is done once on the host, so that steps on a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from multiprocessing import get_context
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +13,6 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.progress import progress
 from h3data.scene import Scene
 from sim_kinematic.agents.oracle.ways import Ways
 from sim_kinematic.policies.rearrange import partner_plan, planner
@@ -104,9 +101,8 @@ class RearrangeBank:
         return cls.of([one for one in episodes if isinstance(one, RearrangeEpisode)])
 
     @classmethod
-    def of(cls, episodes: Sequence[RearrangeEpisode], *, workers: int = 1) -> RearrangeBank:
-        """A bank of these episodes of one robot and one person, under the rules of the first. Paths are searched for by so many
-        ``workers``, processes that are forked: call it before CUDA begins.
+    def of(cls, episodes: Sequence[RearrangeEpisode]) -> RearrangeBank:
+        """A bank of these episodes of one robot and one person, under the rules of the first.
 
         Raises:
             InputError: somebody else plays, the rules have no oracle skills, or a device cannot move in a home.
@@ -118,7 +114,7 @@ class RearrangeBank:
         assert isinstance(human, Humanoid)
         homes = {id(episode.free): episode for episode in episodes}
         number = {key: k for k, key in enumerate(homes)}
-        ways = _all_ways(episodes, workers)
+        ways = [_ways(episode) for episode in episodes]
         widest = max(len(one.ends) for of_episode in ways for one in of_episode)
         ends = np.full((len(episodes), len(ways[0]), max(widest, 1), 2), np.nan)
         for n, of_episode in enumerate(ways):
@@ -142,6 +138,36 @@ class RearrangeBank:
             corners_of=np.cumsum([0, *(len(free.graph.nodes) for free in floors)]),
             origins=np.array([sample[r].origin for r in range(len(floors))]),
             shapes=np.array([sample[r].shape for r in range(len(floors))], np.int64),
+        )  # fmt: skip
+
+    @classmethod
+    def joined(cls, banks: Sequence[RearrangeBank]) -> RearrangeBank:
+        """The episodes of several banks, one after the other, of the same rules and bodies: that of all of them, if no two are
+        in the same home."""
+        widest = max(bank.ends.shape[2] for bank in banks)
+        homes = np.cumsum([0, *(len(bank.floors) for bank in banks)])
+
+        def tables(name: str) -> tuple[NDArray, NDArray[np.int64]]:
+            parts = [getattr(bank, name)[:-1] for bank in banks]
+            begins = np.cumsum([0, *map(len, parts)])
+            own = [getattr(bank, f"{name}_of") + begin for bank, begin in zip(banks, begins, strict=False)]
+            return np.concatenate([*parts, getattr(banks[-1], name)[-1:]]), np.concatenate(own)
+
+        def wide(ends: Array) -> Array:
+            return np.pad(ends, ((0, 0), (0, 0), (0, widest - ends.shape[2]), (0, 0)), constant_values=np.nan)
+
+        (first, first_of), (after, after_of), (left, left_of) = map(tables, ("first", "after", "left"))
+        counts = np.concatenate([np.diff(bank.corners_of) for bank in banks])
+        columns = ("seeds", "starts", "spots", "origins", "shapes")
+        return replace(
+            banks[0], floors=tuple(floor for bank in banks for floor in bank.floors),
+            scenes=tuple(scene for bank in banks for scene in bank.scenes),
+            place=np.concatenate([bank.place + n for bank, n in zip(banks, homes, strict=False)]),
+            ends=np.concatenate([wide(bank.ends) for bank in banks]),
+            first=first, first_of=first_of, after=after, after_of=after_of, left=left, left_of=left_of,
+            corners=np.concatenate([*(bank.corners[:-1] for bank in banks), banks[-1].corners[-1:]]),
+            corners_of=np.cumsum([0, *counts]),
+            **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -168,33 +194,6 @@ class RearrangeBank:
 def orders(chosen: Sequence[Sequence[int]], objects: int) -> NDArray[np.int64]:
     """Objects in the order of a planner, -1 after the last, [N, K]."""
     return np.array([[*row, *[-1] * (objects - len(row))] for row in chosen], np.int64).reshape(-1, objects)
-
-
-_EPISODES: Sequence[RearrangeEpisode] = ()
-"""Those of this process, as they were when it was forked."""
-
-
-def _all_ways(episodes: Sequence[RearrangeEpisode], workers: int) -> list[list[Ways]]:
-    global _EPISODES
-    found: list[list[Ways]] = []
-    with progress(desc="paths", total=len(episodes), unit="episode", delay=1.0, leave=False) as done:
-
-        def add(ways: Iterable[list[Ways]]) -> None:
-            for one in ways:
-                found.append(one)
-                done.update()
-
-        if workers == 1:
-            add(map(_ways, episodes))
-            return found
-        _EPISODES = episodes
-        with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
-            add(pool.map(_ways_of, range(len(episodes)), chunksize=8))
-    return found
-
-
-def _ways_of(number: int) -> list[Ways]:
-    return _ways(_EPISODES[number])
 
 
 def _ways(episode: RearrangeEpisode) -> list[Ways]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,25 @@ def episodes() -> list[RearrangeEpisode]:
 @pytest.fixture(scope="module")
 def bank(episodes: list[RearrangeEpisode]) -> RearrangeBank:
     return RearrangeBank.of(episodes)
+
+
+def test_banks_of_homes_are_the_bank_of_all(episodes: list[RearrangeEpisode]) -> None:
+    of_home: dict[int, list[RearrangeEpisode]] = {}
+    for episode in episodes:
+        of_home.setdefault(id(episode.free), []).append(episode)
+    assert len(of_home) > 1
+    found = RearrangeBank.joined([RearrangeBank.of(own) for own in of_home.values()])
+    wanted = RearrangeBank.of([episode for own in of_home.values() for episode in own])
+    for field in fields(RearrangeBank):
+        mine, theirs = getattr(found, field.name), getattr(wanted, field.name)
+        if isinstance(mine, np.ndarray):
+            assert mine.dtype == theirs.dtype
+            np.testing.assert_array_equal(mine, theirs, err_msg=field.name)
+        elif field.name not in ("floors", "scenes"):
+            assert mine == theirs
+    assert [(id(a), id(b)) for a, b in zip(found.floors, found.scenes, strict=True)] == [
+        (id(a), id(b)) for a, b in zip(wanted.floors, wanted.scenes, strict=True)
+    ]
 
 
 class Pair:
