@@ -92,7 +92,7 @@ class EpisodeMetrics:
 
 
 def shared_by(info: Mapping[str, Any]) -> tuple[str, ...]:
-    """The partners that share a recording, since they do the same in it (``info["partners"]`` of ``h3data evaluate --keep``)."""
+    """Partners with the same plan, who share a recording (``info["partners"]`` of ``h3data evaluate --keep``)."""
     partners = info.get("partners")
     return tuple(map(str, partners)) if isinstance(partners, list) else ()
 
