@@ -51,8 +51,13 @@ def transitions_of(recording: Recording, *, agent: str | None = None) -> Transit
     """Transitions of the agent of that name; by default of the first robot that acts, else of the first agent that does.
 
     Raises:
-        InputError: nobody acts, nobody has that name, or there are fewer than two steps.
+        InputError: nobody acts, nobody has that name, there are fewer than two steps, or an earlier export left out the last.
     """
+    if recording.episode.is_lerobot_export:
+        raise InputError(
+            "Demonstrations exported to LeRobot lack the last row of each episode; exported again they would lose another one. "
+            "Hint: export the dataset that they were exported from."
+        )
     index = _acting(recording, agent)
     if len(recording) < 2:
         raise InputError(f"Transitions need at least two steps, the recording has {len(recording)}.")

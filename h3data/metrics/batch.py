@@ -20,7 +20,7 @@ from functools import lru_cache, partial
 from typing import TypeVar
 
 from h3data.errors import FormatError, InputError
-from h3data.metrics.episode import EpisodeMetrics
+from h3data.metrics.episode import EpisodeMetrics, for_each_partner
 from h3data.metrics.metric import Metric
 from h3data.metrics.reading import chunks_of, read_chunk, read_log
 from h3data.metrics.registry import profile_for, profiles_named
@@ -238,10 +238,11 @@ def _attempts(
     for _, group in itertools.groupby(chosen, key=lambda each: id(each[2])):
         names, found, profiles = zip(*group, strict=True)
         measured = found if profiles[0] is None else profiles[0].measure_many(found)
-        results += [
-            each if isinstance(each, EpisodeMetrics) else LeftOut(name=name, error=each)
-            for name, each in zip(names, measured, strict=True)
-        ]
+        for name, recording, each in zip(names, found, measured, strict=True):
+            if isinstance(each, EpisodeMetrics):
+                results += for_each_partner(each, recording.episode.info)
+            else:
+                results.append(LeftOut(name=name, error=each))
     return results
 
 

@@ -31,6 +31,7 @@ class Differences:
     names: tuple[str, str]
     """Labels of the two runs."""
     episode_ids: tuple[str, ...]
+    """Names of the pairs (`pairing_names`)."""
     first: dict[str, NDArray[np.float64]]
     """Values by metric, in the order of ``episode_ids``; NaN = undefined."""
     second: dict[str, NDArray[np.float64]]
@@ -86,19 +87,19 @@ class Differences:
 
 
 def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[str, str] = ("A", "B")) -> Differences:
-    """Pairs the episodes of two runs by ``episode_id``; p values are adjusted for all metrics together (Holm).
+    """Pairs the episodes of two runs by `pairing_names`; p values are adjusted for all metrics together (Holm).
 
     Raises:
-        InputError: the runs hold different episodes or profiles, or an id names two episodes; the message names them.
+        InputError: the runs hold different episodes or profiles, or a name means two episodes; the message names them.
     """
     if (first.profile, first.metrics) != (second.profile, second.metrics):
         raise InputError(f"Runs with different metrics cannot be paired: {first!r} and {second!r}.")
-    for name, table in zip(names, (first, second), strict=True):
-        if repeated := _repeated(table):
+    ours, theirs = pairing_names(first, second)
+    for name, ids in zip(names, (ours, theirs), strict=True):
+        if repeated := _repeated(ids):
             raise InputError(f"Episode ids of {name} are not unique, so they cannot be paired: {_quoted(repeated)}.")
-    sets = set(first.episode_ids), set(second.episode_ids)
-    missing = [i for i in first.episode_ids if i not in sets[1]]
-    extra = [i for i in second.episode_ids if i not in sets[0]]
+    missing = [i for i in ours if i not in set(theirs)]
+    extra = [i for i in theirs if i not in set(ours)]
     if missing or extra:
         parts = [
             f"only {name} has {len(ids)}: {_quoted(ids)}"
@@ -106,13 +107,13 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
             if ids
         ]
         raise InputError(f"The runs hold different episodes; {'; '.join(parts)}. Pair runs over the same set.")
-    place = {episode: k for k, episode in enumerate(second.episode_ids)}
-    order = np.array([place[episode] for episode in first.episode_ids], np.int64)
+    place = {episode: k for k, episode in enumerate(theirs)}
+    order = np.array([place[episode] for episode in ours], np.int64)
     return Differences(
         profile=first.profile,
         metrics=first.metrics,
         names=names,
-        episode_ids=first.episode_ids,
+        episode_ids=ours,
         first=dict(first.columns),
         second={name: column[order] for name, column in second.columns.items()},
         tests=compare_runs(first, second),
@@ -136,13 +137,14 @@ def compare_runs(
     if unknown:
         near = did_you_mean(unknown[0], first.columns)
         raise InputError(f"No metric {', '.join(map(repr, unknown))}.{near} There are: {', '.join(first.columns)}.")
-    for table, which in ((first, "first"), (second, "second")):
-        if repeated := _repeated(table):
+    ours, theirs = pairing_names(first, second)
+    for ids, which in ((ours, "first"), (theirs, "second")):
+        if repeated := _repeated(ids):
             raise InputError(f"Expected each episode once; the {which} run repeats {some_of(sorted(repeated))}.")
     results = {
         name: compare_paired(
-            dict(zip(first.episode_ids, map(float, first.columns[name]), strict=True)),
-            dict(zip(second.episode_ids, map(float, second.columns[name]), strict=True)),
+            dict(zip(ours, map(float, first.columns[name]), strict=True)),
+            dict(zip(theirs, map(float, second.columns[name]), strict=True)),
             confidence=confidence,
             seed=seed,
         )
@@ -152,8 +154,26 @@ def compare_runs(
     return {name: replace(r, p_adjusted=float(p)) for (name, r), p in zip(results.items(), adjusted, strict=True)}
 
 
-def _repeated(table: MetricsTable) -> list[str]:
-    return [episode for episode, times in Counter(table.episode_ids).items() if times > 1]
+def pairing_names(first: MetricsTable, second: MetricsTable) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names by which the episodes of two runs are paired: their ids; where these repeat, as in evaluations of a robot with
+    several partners, ``3 with both``; where these repeat too, ``3 complement with both``."""
+    names = first.episode_ids, second.episode_ids
+    if any(map(_repeated, names)):
+        names = _with_partners(first), _with_partners(second)
+    if any(map(_repeated, names)):
+        names = _with_partners(first, policies=True), _with_partners(second, policies=True)
+    return names
+
+
+def _with_partners(table: MetricsTable, *, policies: bool = False) -> tuple[str, ...]:
+    return tuple(
+        f"{e.episode_id}{f' {e.policy}' if policies and e.policy else ''}{f' with {e.partner}' if e.partner else ''}"
+        for e in table.episodes
+    )
+
+
+def _repeated(names: Sequence[str]) -> list[str]:
+    return [name for name, times in Counter(names).items() if times > 1]
 
 
 def _quoted(names: list[str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,8 @@ class EpisodeMetrics:
     rows: int
     task: str = "social_nav"
     """Task of the metrics; for profiles that measure any task, that of the recording."""
+    task_is_assumed: bool = False
+    """The recording, a gfx-replay, does not say its task: ``task`` is what it was taken for."""
     scene: str = ""
     dt_ns: int = STEP_NS
     """Nominal step of the recording [ns]."""
@@ -49,6 +51,10 @@ class EpisodeMetrics:
     """``info:participant``: who was studied."""
     condition: str = ""
     """``info:condition``: with what."""
+    policy: str = ""
+    """``info:policy``: the policy of the robot."""
+    partner: str = ""
+    """``info:partner``: the policy of the person; of a shared recording one of those who share it (`for_each_partner`)."""
     max_steps: int = 0
     """``info:max_steps``, the longest duration; the number of rows if it is not recorded."""
 
@@ -71,6 +77,9 @@ class EpisodeMetrics:
             "scene": self.scene,
             **({"participant": self.participant} if self.participant else {}),
             **({"condition": self.condition} if self.condition else {}),
+            **({"policy": self.policy} if self.policy else {}),
+            **({"partner": self.partner} if self.partner else {}),
+            **({"assumed_task": self.task} if self.task_is_assumed else {}),
             "steps": self.rows,
             "robot": self.robot,
             "human": self.human,
@@ -80,6 +89,17 @@ class EpisodeMetrics:
             "notes": dict(self.notes),
             "set_up": self.protocol_deviations,  # the key that stored results have
         }
+
+
+def shared_by(info: Mapping[str, Any]) -> tuple[str, ...]:
+    """Partners with the same plan, who share a recording (``info["partners"]`` of ``h3data evaluate --keep``)."""
+    partners = info.get("partners")
+    return tuple(map(str, partners)) if isinstance(partners, list) else ()
+
+
+def for_each_partner(measured: EpisodeMetrics, info: Mapping[str, Any]) -> list[EpisodeMetrics]:
+    """The measurement once for each partner that shares its recording; of a recording that nobody shares, itself."""
+    return [replace(measured, partner=partner) for partner in shared_by(info)] or [measured]
 
 
 @dataclass

@@ -13,6 +13,9 @@ from h3data.metrics.report_layout import ReportLayout
 from h3data.metrics.requirements import UnmeasurableError, note_missing, require_whole
 from h3data.recording.records import Recording
 
+GFX_REPLAY = "gfx_replay"
+"""`Episode.task` of imported gfx-replays, which do not say their task. A profile that lists it takes them for its own."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Computed:
@@ -141,12 +144,15 @@ class Profile:
             moments=computed.moments,
             rows=len(recording),
             task=self.tasks[0] if self.tasks else episode.task,
+            task_is_assumed=bool(self.tasks) and episode.task == GFX_REPLAY,
             scene=episode.scene,
             dt_ns=episode.dt_ns,
             units=str(episode.info.get("units", "SI")),
             protocol_deviations=computed.protocol_deviations,
             participant=str(episode.info.get("participant") or ""),
             condition=str(episode.info.get("condition") or ""),
+            policy=str(episode.info.get("policy") or ""),
+            partner=str(episode.info.get("partner") or ""),
             max_steps=limit if type(limit) is int and limit > 0 else len(recording),
         )
 

@@ -43,7 +43,7 @@ def require_whole(recording: Recording) -> None:
     Raises:
         UnmeasurableError: it is one.
     """
-    if "lerobot" in recording.episode.info:
+    if recording.episode.is_lerobot_export:
         raise UnmeasurableError(
             "Demonstrations exported to LeRobot lack the last row of each episode, where it succeeds or fails. "
             "Hint: measure the dataset that they were exported from.",

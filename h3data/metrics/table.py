@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.metrics.episode import EpisodeMetrics
+from h3data.metrics.episode import EpisodeMetrics, for_each_partner
 from h3data.metrics.metric import Metric
 from h3data.metrics.registry import find_profile, measure
 from h3data.recording.records import Recording, notebook
@@ -87,7 +87,9 @@ class MetricsTable:
     def to_text(self, *, confidence: float = 0.95) -> str:
         """An aligned table ``mean [low, high]`` with a line per metric, followed by the notes."""
         deviations = (e.protocol_deviations for e in self.episodes)
-        lines = [*self._note_lines(), *deviation_lines(deviations), *self._left_out_lines()]
+        lines = [
+            *self._assumed_lines(), *self._note_lines(), *deviation_lines(deviations), *self._left_out_lines()
+        ]  # fmt: skip
         return "\n".join([aligned(self.to_rows(confidence=confidence)), *lines])
 
     def to_rows(self, *, confidence: float = 0.95) -> list[list[str]]:
@@ -128,6 +130,10 @@ class MetricsTable:
     def to_json(self, *, confidence: float = 0.95, indent: int | None = 2) -> str:
         """`to_dict` as JSON text."""
         return json.dumps(self.to_dict(confidence=confidence), indent=indent, allow_nan=False)
+
+    def _assumed_lines(self) -> list[str]:
+        line = assumed_task(self.episodes)
+        return [line] if line else []
 
     def _note_lines(self) -> list[str]:
         by_text: dict[tuple[str, int], list[str]] = {}
@@ -194,6 +200,22 @@ def summarize_all(
     }
 
 
+def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
+    """A sentence on recordings of one profile that do not say their task, and what else measures them; empty without any."""
+    tasks = [episode.task for episode in episodes if episode.task_is_assumed]
+    if not tasks:
+        return ""
+    which = (
+        f"{len(tasks)} gfx-replays, which do not say their"
+        if len(tasks) > 1
+        else "a gfx-replay, which does not say its"
+    )
+    return (
+        f"Taken for {tasks[0]}: {which} task. Of another task these numbers mean nothing. "
+        "Hint: h3data metrics --profile field measures any two agents."
+    )
+
+
 def deviation_lines(deviations: Iterable[str]) -> list[str]:
     """Lines about episodes whose rules differ from the paper's (`h3data.metrics.paper.protocol`), most frequent first."""
     counted = Counter(text for text in deviations if text)
@@ -203,7 +225,12 @@ def deviation_lines(deviations: Iterable[str]) -> list[str]:
 
 def measure_many(recordings: Iterable[Recording], profile: str | None = None) -> MetricsTable:
     """Measures every recording, one at a time, so that only one is in memory; by default by the profile of its task."""
-    return tabulate((measure(recording, profile) for recording in recordings), profile=profile)
+    measured = (
+        each
+        for recording in recordings
+        for each in for_each_partner(measure(recording, profile), recording.episode.info)
+    )
+    return tabulate(measured, profile=profile)
 
 
 def tabulate(
@@ -246,8 +273,9 @@ def aligned(lines: Sequence[Sequence[str]]) -> str:
 
 
 def _check_unique(rows: Sequence[EpisodeMetrics]) -> None:
-    # participants of a study play the same episodes
-    twice = [uid for (uid, _), times in Counter((e.uid, e.participant) for e in rows).items() if times > 1]
+    # participants of a study play the same episodes, partners with the same plan share a recording
+    times_each = Counter((e.uid, e.participant, e.partner) for e in rows)
+    twice = list(dict.fromkeys(uid for (uid, *_), times in times_each.items() if times > 1))
     if twice:
         names = [e.episode_id for e in {e.uid: e for e in rows}.values() if e.uid in set(twice[:5])]
         raise InputError(

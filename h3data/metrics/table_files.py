@@ -22,7 +22,7 @@ from h3data.metrics.table import MetricsTable
 from h3data.recording.records import Recording
 
 _TEXTS = ("episode_id", "uid", "scene")
-_STUDY = ("participant", "condition")
+_PLAYERS = ("participant", "condition", "policy", "partner")
 _NUMBERS = ("steps", "robot", "human", "encounter_row", "contact_row")
 
 
@@ -78,7 +78,7 @@ def _table_json(table: MetricsTable, path: Path) -> None:
 def _table_csv(table: MetricsTable, path: Path) -> None:
     with open(path, "w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        names = (*_TEXTS, *_study_columns(table), *_NUMBERS)
+        names = (*_TEXTS, *_player_columns(table), *_NUMBERS)
         writer.writerow([*names, *table.columns, "notes"])
         for row in table.episodes:
             facts = row.to_dict()
@@ -89,7 +89,7 @@ def _table_csv(table: MetricsTable, path: Path) -> None:
 
 def _table_parquet(table: MetricsTable, path: Path) -> None:
     rows = [row.to_dict() for row in table.episodes]
-    texts = (*_TEXTS, *_study_columns(table))
+    texts = (*_TEXTS, *_player_columns(table))
     columns = [pa.array([row.get(fact, "") for row in rows], pa.string()) for fact in texts]
     columns += [pa.array([row[fact] for row in rows], pa.int64()) for fact in _NUMBERS]
     columns += [pa.array([row["values"][name] for row in rows], pa.float64()) for name in table.columns]
@@ -99,9 +99,9 @@ def _table_parquet(table: MetricsTable, path: Path) -> None:
     pq.write_table(stored, path, compression="zstd")
 
 
-def _study_columns(table: MetricsTable) -> tuple[str, ...]:
-    """Participant and condition, in the tables of studies."""
-    return tuple(name for name in _STUDY if any(getattr(row, name) for row in table.episodes))
+def _player_columns(table: MetricsTable) -> tuple[str, ...]:
+    """Who played, as far as the recordings say."""
+    return tuple(name for name in _PLAYERS if any(getattr(row, name) for row in table.episodes))
 
 
 def _series_tables(recordings: Iterable[Recording], profile: str | None) -> Iterator[pa.Table]:

@@ -184,6 +184,11 @@ class Episode:
         an episode is simulated again."""
         return is_since(self.schema_version, PLANTED_SINCE)
 
+    @property
+    def is_lerobot_export(self) -> bool:
+        """Whether it was exported to LeRobot, which leaves out the last row and the simulator's own columns."""
+        return "lerobot" in self.info
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:

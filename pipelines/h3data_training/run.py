@@ -308,6 +308,8 @@ def figures_of(row: dict[str, float]) -> str:
     """Episodes of an update, as a row of the learning curve has them, in words."""
     if "follows" in row:
         return f"following {row['follows']:.0%} of steps  collided {row['collided']:.0%}"
+    if row.get("ended") == 0:
+        return "no episode has ended"
     return f"succeeded {row['succeeded']:.0%}  failed {row['failed']:.0%}  {row['steps_per_episode']:.0f} steps"
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -186,6 +186,12 @@ PARTNERS = (*POPULATIONS, *PLANS)
 def population_of(partner: str) -> str:
     """``zsc-pop`` for a partner of the zero-shot population, ``train-pop`` for a population of planners, else empty."""
     return "zsc-pop" if partner in ZSC_TEN else "train-pop" if partner in POPULATIONS else ""
+
+
+def zsc_populations(partners: Iterable[str]) -> tuple[tuple[str, ...], ...]:
+    """The paper's zero-shot populations of which all play: the four planners, and these with six learned partners."""
+    there = set(partners)
+    return tuple(population for population in (ZSC, ZSC_TEN) if there.issuperset(population))
 
 
 def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:

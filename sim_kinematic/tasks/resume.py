@@ -197,6 +197,11 @@ class _Played:
 
 
 def _restored(recording: Recording) -> tuple[Task, Episode]:
+    if recording.episode.is_lerobot_export:
+        raise InputError(
+            "Demonstrations exported to LeRobot cannot be simulated again, or verified: they lack the last row of each episode "
+            "and the simulator's own columns. Hint: use the dataset that they were exported from."
+        )
     task = task_of(recording)
     require(recording, columns=task.needed_columns(recording))
     file = recording.attachments["scene.glb"]

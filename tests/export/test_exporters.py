@@ -466,6 +466,20 @@ def test_demonstrations_without_their_last_row_are_not_measured(recording: Recor
     assert measure(recording).rows == len(recording)
 
 
+def test_demonstrations_without_their_last_row_are_neither_verified_nor_exported_again(
+    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_lerobot([recording], tmp_path / "ds")
+    assert "cannot be simulated again" in run_json(capsys, "replay", tmp_path / "ds", "--verify", code=2)["error"]
+    write_lerobot([recording, recording], tmp_path / "two")
+    result = run_json(capsys, "replay", tmp_path / "two", "--verify", code=1)
+    assert [row["equal"] for row in result["episodes"]] == [None, None]
+    for to, out in (("lerobot", "again"), ("robomimic", "again.hdf5")):
+        said = run_json(capsys, "export", tmp_path / "ds", "--to", to, "-o", tmp_path / out, code=2)["error"]
+        assert "lack the last row" in said
+        assert not (tmp_path / out).exists()
+
+
 def test_the_reward_is_of_the_action_that_led_to_success(recording: Recording) -> None:
     def rewards(*events: Event, **info: bool) -> list[int]:
         changed = replace(recording, events=events, episode=replace(recording.episode, info=info))
@@ -574,6 +588,7 @@ def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: 
         (["--to", "foxglove", "-o", tmp_path / "a.mcap"], ".foxglove.mcap"),
         (["--to", "foxglove", "-o", tmp_path / "a.foxglove.mcap", "--camera", "nowhere"], "nowhere"),
         (["--to", "lerobot", "-o", tmp_path / "l", "--agent", "nobody"], "nobody"),
+        (["--to", "habitat-episodes", "-o", tmp_path / "h"], "rearrange"),
     ):
         assert words in run_json(capsys, "export", log, *more, code=2)["error"]
     assert not list(tmp_path.iterdir())

@@ -283,6 +283,53 @@ def test_runs_that_cannot_be_paired_say_why():
         compare_tables(twice, twice)
 
 
+def test_a_gfx_replay_is_said_to_be_taken_for_a_task(tmp_path, capsys):
+    """It may be one of rearrangement: the format does not say."""
+    for k in range(2):
+        found = dataclasses.replace(episode(k), episode=dataclasses.replace(episode(k).episode, task="gfx_replay"))
+        write_mcap(found, tmp_path / f"{k}.mcap")
+    said = run(capsys, tmp_path)
+    assert "Taken for social_nav: 2 gfx-replays, which do not say their task." in said
+    assert "--profile field" in said
+    assert json.loads(run(capsys, tmp_path / "0.mcap", "--json"))["episodes"][0]["assumed_task"] == "social_nav"
+    assert "Taken for" not in run(capsys, tmp_path, "--profile", "field")
+    assert "Taken for" not in measure_many([episode(0)]).to_text()
+
+
+def evaluated(number: int, policy: str, *partners: str, near: float = 1.0) -> Recording:
+    """What ``h3data evaluate --keep`` leaves of an episode: partners that do the same share it."""
+    found = episode(number, run=f"{policy} {partners[0]}", near=near)
+    info = {**found.episode.info, "policy": policy, "partner": partners[0], "partners": list(partners)}
+    return dataclasses.replace(found, episode=dataclasses.replace(found.episode, info=info))
+
+
+def test_a_recording_that_partners_share_counts_for_each_of_them(tmp_path):
+    kept = [evaluated(k, "p", *who) for k in range(4) for who in (("both", "plan_pop_1"), ("still",))]
+    alone = evaluated(0, "p", "x", near=0.3)
+    table = measure_files([write(tmp_path / "ds", [*kept, alone])])
+    assert len(table) == 13
+    assert [e.partner for e in table.episodes[:3]] == ["both", "plan_pop_1", "still"]
+    assert table.columns["S"].mean() == 12 / 13
+    assert [e.to_dict() for e in measure_many([*kept, alone]).episodes] == [e.to_dict() for e in table.episodes]
+    write_table(table, tmp_path / "t.csv")
+    with open(tmp_path / "t.csv", newline="") as stream:
+        assert [row["partner"] for row in csv.DictReader(stream)][:3] == ["both", "plan_pop_1", "still"]
+    with pytest.raises(InputError, match="more than once"):
+        measure_many([kept[0], kept[0]])
+
+
+def test_evaluations_are_paired_by_partner_and_where_several_robots_play_by_policy():
+    who = ("both", "plan_pop_1"), ("still",)
+    first, second = (measure_many(evaluated(k, p, *w) for k in range(3) for w in who) for p in ("p", "q"))
+    found = compare_tables(first, second)
+    assert found.episode_ids[:3] == ("e000 with both", "e000 with plan_pop_1", "e000 with still")
+    assert found.tests["TD"].difference == 0
+    several = measure_many(evaluated(k, p, *w) for k in range(3) for p in ("p", "q") for w in who)
+    assert compare_tables(several, several).episode_ids[3] == "e000 q with both"
+    with pytest.raises(InputError, match="only B has 3: 'e000 with x'"):
+        compare_tables(first, measure_many(evaluated(k, "q", "both", "plan_pop_1", "still", "x") for k in range(3)))
+
+
 # --- the command ------------------------------------------------------------------------------------------------------
 def run(capsys, *arguments, code: int = 0) -> str:
     assert main(["metrics", *map(str, arguments)]) == code

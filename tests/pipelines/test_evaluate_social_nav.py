@@ -12,12 +12,14 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from h3data.errors import InputError
 from h3data.metrics import measure, measure_files, measure_many
 from h3data.metrics.paper.profiles import SOCIAL_NAV_PROFILE
 from h3data.metrics.paper.protocol import protocol_deviations
 from h3data.recording import Agent, Episode, Recording
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import cross_play_table
+from h3data_pipelines.jobs.evaluations import chosen_names
 from h3data_pipelines.jobs.policy_table import policy_table
 from sim_kinematic.policies.network import Network, save_network
 
@@ -65,6 +67,10 @@ def test_it_says_what_generate_and_metrics_say_and_goes_on(tmp_path: Path, capsy
         (("social_nav", "--policies", ","), "--policies: expected some of rollout_expert"),
         (("social_nav", "--partners", "both"), "expected some of waypoints"),
         (("social_nav", "--scenes", "nowhere"), "h3-homes/test"),
+        (("social_nav", "--max-steps", "0"), "--max-steps must be at least 1, got 0"),
+        (("social_nav", "--seed", "-1"), "--seed must be at least 0, got -1"),
+        (("social_nav", "--human-speed", "0"), "--human-speed must be above 0"),
+        (("skill", "--max-steps", "0"), "--max-steps must be at least 1, got 0"),
         (("dance",), "Expected one of: social_nav, rearrange, wander"),
     ],
 )
@@ -73,6 +79,15 @@ def test_bad_options_are_refused(
 ) -> None:
     assert told in run_json(capsys, "evaluate", *options, "--json", "-o", tmp_path / "x", code=2)["error"]
     assert not (tmp_path / "x").exists()
+
+
+def test_all_may_stand_beside_other_names() -> None:
+    there = ("complement", "still")
+    assert chosen_names("--policies", "all", there) == there
+    assert chosen_names("--policies", "still, all", there) == ("still", "complement")
+    assert chosen_names("--policies", "all,my_package:MyPolicy", there) == (*there, "my_package:MyPolicy")
+    with pytest.raises(InputError, match="got magic"):
+        chosen_names("--policies", "all,magic", there)
 
 
 def test_results_of_other_weights_in_the_same_file_are_refused(

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 
@@ -18,6 +18,7 @@ from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.commands.table import COMMANDS
+from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs
 from h3data_pipelines.options import options_of
 from h3data_pipelines.parsing import parse
 from h3data_pipelines.pictures.viewing import View
@@ -164,6 +165,36 @@ def test_a_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert told.startswith("Would play 5 episodes of wander")
     assert "in 2 scenes: small:0, small:1" in told
     assert not out.exists()
+
+
+def test_a_plan_of_a_billion_episodes_makes_none_of_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, job = [], Choices.job
+
+    def counting(self: Choices, *arguments: Any, **options: Any) -> Job:
+        made.append(arguments)
+        assert len(made) < 100
+        return job(self, *arguments, **options)
+
+    monkeypatch.setattr(Choices, "job", counting)
+    options = ("--episodes", f"{10**9}", "--homes", "2", "--max-steps", "7", "--dry-run", "--json")
+    assert main(["generate", "wander", *options, "-o", str(tmp_path / "ds")]) == 0
+    plan = json.loads(capsys.readouterr().out)["plan"]
+    assert (plan["episodes"], plan["most_steps"]) == (10**9, 7 * 10**9)
+    assert plan["scenes"] == ["small:0", "small:1"]
+    assert main(["generate", "wander", "--episodes", f"{10**30}", "--dry-run", "-o", str(tmp_path / "ds")]) == 2
+    assert "--episodes must be at most" in capsys.readouterr().err
+
+
+def test_episodes_are_the_same_whenever_they_are_made() -> None:
+    jobs = make_jobs(Choices(task="wander", human="any"), "small", episodes=7, homes=3, seed=4)
+    every = list(jobs)
+    assert len(every) == len(jobs) == 7
+    assert [job.scene for job in every] == [f"small:{k % 3}" for k in range(7)]
+    assert (list(jobs[2:]), jobs[-1], jobs[3]) == (every[2:], every[-1], every[3])
+    with pytest.raises(IndexError):
+        jobs[7]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])

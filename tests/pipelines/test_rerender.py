@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ import numpy as np
 import pytest
 
 import h3data
+from h3data.recording import DatasetWriter
 from h3data.recording.mcap.writer import write_mcap
 from h3data.replay import camera_track
 from h3data.scene import HomeSpec, build_home
@@ -119,6 +122,30 @@ def test_what_is_complete_is_kept(episode: Path, tmp_path: Path, capsys: pytest.
     changed = rerender(capsys, episode, "--steps", "0:7", "-o", tmp_path, *near, "--force")["recordings"][0]
     assert changed["kept"] == []
     assert len(json.loads(Path(first["cameras"]).read_text())["cameras"]["near"]["steps"]) == 7
+
+
+def test_a_folder_stands_for_all_recordings_in_it(
+    episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As `h3data import -o` leaves it: files of different sessions may have the same name."""
+    for name in ("a/walk.mcap", "b/walk.mcap", "walk.mcap"):
+        (tmp_path / "rec" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(episode, tmp_path / "rec" / name)
+    with DatasetWriter(tmp_path / "rec" / "ds") as writer:
+        for number in range(2):
+            recording = h3data.open(episode)
+            writer.add(replace(recording, episode=replace(recording.episode, uid=f"{number}")))
+    options = ("--camera", episode.with_name("near.toml"), "--steps", "0:2", "-o", tmp_path / "out")
+    found = rerender(capsys, tmp_path / "rec", *options)["recordings"]
+    names = {str(Path(file).relative_to(tmp_path / "out")) for row in found for file in row["files"]}
+    assert names == {f"{name}.near.rgb.mp4" for name in ("a/walk", "b/walk", "walk", "ds#0", "ds#1")}
+    assert all((tmp_path / "out" / name).is_file() for name in names)
+    again = rerender(capsys, tmp_path / "rec", *options)["recordings"]
+    assert [row["kept"] for row in again] == [row["files"] for row in found]
+    of_dataset = rerender(capsys, tmp_path / "rec" / "ds", *options)["recordings"]
+    assert [row["kept"] for row in of_dataset] == [row["files"] for row in found[-2:]]
+    (tmp_path / "none").mkdir()
+    assert "No recording" in rerender(capsys, tmp_path / "none", *options, code=2)["error"]
 
 
 @pytest.mark.slow

@@ -134,7 +134,10 @@ def test_nonsense_is_refused():
 def table(ids, **columns) -> MetricsTable:
     """What `compare_runs` reads of a table."""
     values = {k: np.asarray(v, np.float64) for k, v in columns.items()}
-    return cast(MetricsTable, SimpleNamespace(profile="paper", episode_ids=tuple(ids), columns=values))
+    episodes = [SimpleNamespace(episode_id=name, policy="", partner="") for name in ids]
+    return cast(
+        MetricsTable, SimpleNamespace(profile="paper", episode_ids=tuple(ids), columns=values, episodes=episodes)
+    )
 
 
 def test_all_metrics_of_two_tables_together():

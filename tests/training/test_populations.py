@@ -78,6 +78,7 @@ def whole(episodes: Sequence[RearrangeEpisode], tmp_path_factory: Any) -> Path:
     result = train(folder, SMALL, workers=1, episodes=episodes, say=said.append)
     assert result.done
     assert result.updates == 3
+    assert any(line.startswith("learn_single: 2 learners, 1 worker after") for line in said)
     assert any("update 1 " in line and "steps/s" in line for line in said)
     return folder
 

@@ -56,7 +56,7 @@ def whole(bank: SkillBank, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
     said: list[str] = []
     assert train(folder, SMALL, bank=bank, name="small", say=said.append).done
-    assert any("succeeded" in line and "decisions/s" in line for line in said)
+    assert any("no episode has ended" in line and "decisions/s" in line for line in said)
     return folder
 
 
@@ -136,6 +136,13 @@ def test_episodes_are_cut_short_and_count_once(bank: SkillBank) -> None:
     assert worlds.totals[HeldSkills.counts.index("ended")] == 4
 
 
+def test_before_an_episode_has_ended_there_is_no_length_of_one(bank: SkillBank) -> None:
+    worlds = HeldSkills(SMALL, bank, device="cpu")
+    total = dict.fromkeys((*HeldSkills.counts, "reward"), 0.0) | {"steps": 3072.0}
+    assert runs.figures_of(worlds.figures(total)) == "no episode has ended"
+    assert runs.figures_of(worlds.figures(total | {"ended": 12.0})) == "succeeded 0%  failed 0%  256 steps"
+
+
 def test_settings_that_cannot_be_are_refused() -> None:
     for change, message in (
         ({"observations": ("humanoid_gps",)}, "humanoid_gps"),
@@ -158,7 +165,7 @@ def test_the_command_line_plans_and_refuses(tmp_path: Path, capsys: pytest.Captu
     assert plan["settings"]["skill"] == "nav"
     assert not (tmp_path / "run").exists()
     for words, message in (
-        (["skill"], "Unknown skill ''"),
+        (["skill"], "Expected the name of a skill: h3data train skill nav, pick or place."),
         (["skill", "nav", "--recipe", "paper"], "Unknown recipe 'paper' of skills"),
         (["skill", "nav", "--recipe", "fast", "--observations", "arm_rgb"], "arm_rgb"),
         (["skill", "nav", "--walk", "paper"], "not of skill: --walk"),

@@ -42,6 +42,7 @@ from h3data_viewers.html_report.report_tables import (
     to_latex,
     to_markdown,
 )
+from sim_kinematic.policies.learned import SHIPPED_PARTNERS
 
 ROBOT, HUMAN = Agent(name="spot", kind="robot"), Agent(name="alex", kind="human")
 POLICIES = ("heuristic_expert", "stand_still")
@@ -276,7 +277,7 @@ def test_rearrangement_by_population_and_partner(tmp_path: Path) -> None:
 
 def test_each_partner_that_shares_a_recording_belongs_to_its_own_population(tmp_path: Path) -> None:
     shared = tidy(30, policy="p", partner="plan_pop_1", population="train-pop", partners=["plan_pop_1", "object_1"])
-    other = tidy(60, policy="p", partner="both", population="zsc-pop", partners=["both"])
+    other = tidy(60, policy="p", partner="both", population="zsc-pop", partners=["both", "object_2", "still"])
     write(tmp_path / "e" / "recordings" / "000000", [shared, other])
 
     def groups() -> tuple[dict[str, list[str]], float]:
@@ -287,11 +288,44 @@ def test_each_partner_that_shares_a_recording_belongs_to_its_own_population(tmp_
         table = next(t for t in report.tables if t.key == "rearrange")
         return found, table.sections[0].rows[0].cells[5].value  # RE of the zero-shot population
 
-    assert groups() == ({"train": ["plan_pop_1"], "zsc": ["object_1", "both"]}, 150.0)
+    assert groups() == ({"train": ["plan_pop_1"], "zsc": ["object_1", "both", "object_2", "still"]}, 125.0)
     (tmp_path / "e" / "table.json").write_text(json.dumps({"job": {"task": "rearrange", "zsc": ["both"]}}))
     told, re = groups()
     assert told["zsc"] == ["both"]
     assert re == 100.0
+
+
+def test_some_partners_of_the_zero_shot_population_are_none(tmp_path: Path) -> None:
+    """As in the table of the evaluation, which has no such column then."""
+    shared = tidy(30, policy="p", partners=["plan_pop_1", "object_1"])
+    other = tidy(60, policy="p", partners=["both", *SHIPPED_PARTNERS])
+    kept, bare = tmp_path / "kept", tmp_path / "bare"
+    write(kept / "recordings" / "000000", [shared, other])
+    (bare / "episodes").mkdir(parents=True)
+    (bare / "table.json").write_text(json.dumps({"job": {"task": "rearrange"}}))
+    rows = [
+        {"index": 0, "policy": "p", "partner": partner, "values": {"SR": 1.0}}
+        for partner in ("plan_pop_1", "object_1", "both", *SHIPPED_PARTNERS)
+    ]
+    (bare / "episodes" / "000000.json").write_text(json.dumps({"job": {"episode": {"seed": 1}}, "rows": rows}))
+    for folder in (kept, bare):
+        report = make_report([folder], pictures=0)
+        assert {e.population for e in report.data.episodes} == {"train", ""}
+        assert all("ZSC mean" not in {c.head for c in t.columns} for t in report.tables_of_partners)
+    rows += [{**rows[0], "partner": partner} for partner in ("object_2", "still")]
+    (bare / "episodes" / "000000.json").write_text(json.dumps({"job": {"episode": {"seed": 1}}, "rows": rows}))
+    found = {e.partner for e in make_report([bare], pictures=0).data.episodes if e.population == "zsc"}
+    assert found == {"both", "object_1", "object_2", "still", *SHIPPED_PARTNERS}
+    del rows[3]  # one of the learned ones did not play
+    (bare / "episodes" / "000000.json").write_text(json.dumps({"job": {"episode": {"seed": 1}}, "rows": rows}))
+    found = {e.partner for e in make_report([bare], pictures=0).data.episodes if e.population == "zsc"}
+    assert found == {"both", "object_1", "object_2", "still"}
+
+
+def test_a_gfx_replay_is_said_to_be_taken_for_a_task(tmp_path: Path) -> None:
+    replay = tidy(30)
+    replay = replace(replay, episode=replace(replay.episode, task="gfx_replay"))
+    assert "Taken for social_nav: a gfx-replay" in make_report([write(tmp_path / "ds", [replay])], pictures=0).html
 
 
 def test_a_study_gives_estimated_means_and_contrasts(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from h3data.metrics.habitat.reward import (
 )
 from h3data.metrics.habitat.stats import HabitatTrack, backup_and_yield, social_nav_stats
 from h3data.metrics.metric import INF, Metric, Series
-from h3data.metrics.profile import Computed, Profile
+from h3data.metrics.profile import GFX_REPLAY, Computed, Profile
 from h3data.metrics.report_layout import Milestone, ReportLayout
 from h3data.metrics.requirements import find_agents, note_missing
 from h3data.recording.records import Recording
@@ -175,7 +175,7 @@ def _profile(name: str, title: str, metrics: tuple[Metric, ...]) -> Profile:
     return Profile(
         name=name,
         title=title,
-        tasks=("social_nav", "gfx_replay"),
+        tasks=("social_nav", GFX_REPLAY),
         metrics=metrics,
         compute=functools.partial(compute_habitat, metrics=metrics, variant=name),
         series=functools.partial(habitat_series, variant=name),

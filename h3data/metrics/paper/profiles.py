@@ -6,7 +6,7 @@ from h3data.metrics.paper.published import published_results
 from h3data.metrics.paper.rearrangement import REARRANGEMENT, compute_rearrangement, rearrangement_series
 from h3data.metrics.paper.social_nav import compute_social_nav, social_nav_series
 from h3data.metrics.paper.social_nav_definitions import SOCIAL_NAV
-from h3data.metrics.profile import Profile
+from h3data.metrics.profile import GFX_REPLAY, Profile
 from h3data.metrics.report_layout import Milestone, ReportLayout, StudyLayout
 
 _TOUCHED = Milestone(flag="collision", title="Person touched by then", label="first contact", metric="CR")
@@ -14,7 +14,7 @@ _TOUCHED = Milestone(flag="collision", title="Person touched by then", label="fi
 SOCIAL_NAV_PROFILE = Profile(
     name="paper",
     title="Habitat 3.0 as published: social navigation",
-    tasks=("social_nav", "gfx_replay"),
+    tasks=("social_nav", GFX_REPLAY),
     metrics=SOCIAL_NAV,
     compute_many=compute_social_nav,
     series=social_nav_series,

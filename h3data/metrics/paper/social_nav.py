@@ -16,7 +16,7 @@ from h3data.metrics.episode import Notes
 from h3data.metrics.metric import NAN, Series
 from h3data.metrics.paper.encounter import encounter_series, found_series
 from h3data.metrics.paper.protocol import protocol_deviations
-from h3data.metrics.profile import Computed
+from h3data.metrics.profile import GFX_REPLAY, Computed
 from h3data.metrics.requirements import find_agents
 from h3data.recording.records import Recording
 
@@ -145,7 +145,7 @@ def _values(recording: Recording, episode: _Counted, notes: Notes) -> dict[str, 
             if not found.total
             else _against_oracle(recording, found.first + 1, found.total, notes)
         )
-        if recording.episode.task == "gfx_replay":
+        if recording.episode.task == GFX_REPLAY:
             notes.add(("BYR",), "a gfx-replay has no time stamps: speeds assume its nominal frame rate")
     return values
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -83,6 +84,7 @@ class Export:
             sources = recordings.sources
         else:
             recordings = [open_episode(self.recording)]
+        is_new = form.target == "folder" and not self.out.exists()
         self._claim(form)
         request = ExportRequest(
             out=self.out,
@@ -97,7 +99,13 @@ class Export:
             threads=core_count(),
             progress=_progress,
         )
-        exported = load(form, "write")(recordings, request)
+        try:
+            exported = load(form, "write")(recordings, request)
+        except BaseException:
+            if is_new:
+                with suppress(OSError):  # not empty: what was written is kept
+                    self.out.rmdir()
+            raise
         if form.target == "dataset":
             roots = dict.fromkeys(source.name.rpartition("#")[0] for source in sources)
             made = [command for root in roots if root for command in read_commands(place(root))]

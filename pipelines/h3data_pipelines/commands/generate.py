@@ -44,7 +44,15 @@ from h3data_pipelines.jobs.episode_files import (
     save_episodes,
     widest_episode,
 )
-from h3data_pipelines.jobs.episodes import Choices, Job, refuse_beside, with_skills
+from h3data_pipelines.jobs.episodes import (
+    Choices,
+    Job,
+    check_numbers,
+    most_steps,
+    refuse_beside,
+    scenes_of,
+    with_skills,
+)
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import Filmed, Filming, film_jobs
@@ -217,7 +225,7 @@ class Generate:
     def _plan(self, asked: FileJobs) -> Outcome:
         """Describes the episodes that would be played, without playing any."""
         jobs = asked.jobs
-        scenes = list(dict.fromkeys(job.scene for job in jobs))
+        scenes = scenes_of(jobs)
         named = ", ".join(scenes[:6]) + (f" and {len(scenes) - 6} more" if len(scenes) > 6 else "")
         plan: dict[str, Any] = {
             "task": self.task,
@@ -225,7 +233,7 @@ class Generate:
             "scenes": scenes,
             "policy": jobs[0].policy or "the task's default",
             "partner": jobs[0].partner or "the task's default",
-            "most_steps": sum(job.spec.max_steps for job in jobs),
+            "most_steps": most_steps(jobs),
             "cameras": list(self.camera),
             "workers": self.workers,
             "out": str(self.out),
@@ -284,7 +292,11 @@ class Generate:
 
     def _jobs(self) -> FileJobs:
         """All episodes, and why others of a file are left out."""
-        self._check_numbers()
+        check_numbers(
+            episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
+        )  # fmt: skip
+        if self.spawn_distance is not None and not 0 <= self.spawn_distance < math.inf:
+            raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.")
         check_workers(self.executor, self.workers)
         choices = Choices(
             task=self.task,
@@ -305,18 +317,6 @@ class Generate:
         if in_set and choices.found_task.name == "social_nav":
             refuse_beside(f"--scenes {self.scenes}", spawn_distance=self.spawn_distance is not None)
         return requested_jobs(self, choices, default_scenes="small")
-
-    def _check_numbers(self) -> None:
-        for name, value, least in (
-            ("--episodes", self.episodes, 1), ("--homes", self.homes, 1), ("--max-steps", self.max_steps, 1),
-            ("--seed", self.seed, 0),
-        ):  # fmt: skip
-            if value is not None and value < least:
-                raise InputError(f"{name} must be at least {least}, got {value}.")
-        if self.human_speed is not None and not 0 < self.human_speed <= 4:
-            raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
-        if self.spawn_distance is not None and not 0 <= self.spawn_distance < math.inf:
-            raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.")
 
 
 def _kept(out: AnyPath) -> str:

@@ -93,7 +93,7 @@ def cross_play_table(rows: Iterable[Row], zsc: Sequence[str] = ()) -> CrossPlayT
         zsc: Partners of the zero-shot population (default: the paper's four planners, and these with six learned partners, if
             all are there).
     """
-    from sim_kinematic.policies.rearrange import ZSC, ZSC_TEN
+    from sim_kinematic.policies.rearrange import zsc_populations
 
     rows = list(rows)
     policies = tuple(dict.fromkeys(row.policy for row in rows))
@@ -101,10 +101,8 @@ def cross_play_table(rows: Iterable[Row], zsc: Sequence[str] = ()) -> CrossPlayT
     groups: dict[str, tuple[str, ...]] = {partner: (partner,) for partner in partners}
     if zsc:
         groups[ZSC_NAMED] = tuple(zsc)
-    elif set(ZSC) <= set(partners):
-        groups[ZSC_COLUMN] = ZSC
-        if set(ZSC_TEN) <= set(partners):
-            groups[ZSC_TEN_COLUMN] = ZSC_TEN
+    else:
+        groups |= dict(zip((ZSC_COLUMN, ZSC_TEN_COLUMN), zsc_populations(partners), strict=False))
     cells = {
         (metric.name, policy, name): cell_of(
             metric, [r.values.get(metric.name) for r in rows if r.policy == policy and r.partner in of]

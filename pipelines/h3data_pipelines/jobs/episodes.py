@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import msgspec
 
@@ -17,6 +18,7 @@ from h3data.scene.scene_sets import SceneFile, SceneSet, SceneSource
 
 if TYPE_CHECKING:
     from h3data.habitat.episodes.stored_episodes import StoredEpisode
+    from h3data.habitat.scene_names import NamedScene
     from sim_kinematic.tasks.episode import Episode
     from sim_kinematic.tasks.task import Task
 
@@ -180,7 +182,9 @@ class Choices:
 
     def job(self, drawn: Draw, **more: Any) -> Job:
         """The job of one sampled episode."""
-        given = {"spec": self.spec(), "human": self._human(drawn.seed), "agents": self._agents(drawn.seed), **more}
+        given = {"human": self._human(drawn.seed), "agents": self._agents(drawn.seed), **more}
+        if "spec" not in given:
+            given["spec"] = self.spec()
         return Job(
             drawn.index,
             drawn.seed,
@@ -253,6 +257,24 @@ class Draw:
     """Which episode of which set it is."""
 
 
+def check_numbers(
+    *, episodes: int | None, homes: int, max_steps: int | None, seed: int, human_speed: float | None
+) -> None:
+    """
+    Raises:
+        InputError: a number cannot be; the message names its option.
+    """
+    for name, value, least in (
+        ("--episodes", episodes, 1), ("--homes", homes, 1), ("--max-steps", max_steps, 1), ("--seed", seed, 0),
+    ):  # fmt: skip
+        if value is not None and value < least:
+            raise InputError(f"{name} must be at least {least}, got {value}.")
+    if episodes is not None and episodes > sys.maxsize:
+        raise InputError(f"--episodes must be at most {sys.maxsize}, got {episodes}.")
+    if human_speed is not None and not 0 < human_speed <= 4:
+        raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {human_speed}.")
+
+
 def make_jobs(
     choices: Choices,
     scenes: str,
@@ -262,7 +284,7 @@ def make_jobs(
     homes: int = 4,
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
-) -> list[Job]:
+) -> Sequence[Job]:
     """Episodes in the scenes that ``scenes`` means: all of a set by default, else 10.
 
     Raises:
@@ -270,7 +292,6 @@ def make_jobs(
     """
     from h3data.habitat.scene_names import named_scenes
     from h3data.scene.scene_sets import find_scene_set
-    from sim_kinematic.motion.randomness import episode_seed
 
     choices = checked(choices)
     label, _, which = scenes.partition("#")
@@ -281,8 +302,49 @@ def make_jobs(
         more = {} if drawn_with is None else {"drawn_with": drawn_with, "spec": choices.spec(drawn_with)}
         return [choices.job(drawn, **more) for drawn in set_episodes(chosen, episodes=episodes, seed=seed)]
     named = named_scenes(scenes, homes=homes, assets=assets, allow_missing=allow_missing)
-    places = [named[i % len(named)] for i in range(10 if episodes is None else episodes)]
-    return [choices.job(Draw(i, episode_seed(seed, i), place.name, place.source)) for i, place in enumerate(places)]
+    return SampledJobs(choices, named, range(10 if episodes is None else episodes), seed=seed)
+
+
+class SampledJobs(Sequence[Job]):
+    """Episodes that go round some scenes, each made when it is asked for: a plan of a billion costs nothing."""
+
+    def __init__(self, choices: Choices, places: Sequence[NamedScene], numbers: range, *, seed: int) -> None:
+        self._choices, self._places, self._numbers, self._seed = choices, places, numbers, seed
+        self._spec = choices.spec()
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    @overload
+    def __getitem__(self, index: int) -> Job: ...
+    @overload
+    def __getitem__(self, index: slice) -> SampledJobs: ...
+    def __getitem__(self, index: int | slice) -> Job | SampledJobs:
+        from sim_kinematic.motion.randomness import episode_seed
+
+        if isinstance(index, slice):
+            return SampledJobs(self._choices, self._places, self._numbers[index], seed=self._seed)
+        number = self._numbers[index]
+        place = self._places[number % len(self._places)]
+        drawn = Draw(number, episode_seed(self._seed, number), place.name, place.source)
+        return self._choices.job(drawn, spec=self._spec)
+
+    @property
+    def one_round(self) -> SampledJobs:
+        """The first episodes, one in each scene; all others differ from these in nothing but number and seed."""
+        return self[: len(self._places)]
+
+
+def scenes_of(jobs: Sequence[Job]) -> list[str]:
+    """Names of the scenes, in the order in which they are first played."""
+    return list(dict.fromkeys(job.scene for job in (jobs.one_round if isinstance(jobs, SampledJobs) else jobs)))
+
+
+def most_steps(jobs: Sequence[Job]) -> int:
+    """Steps that the episodes have together if each is as long as its rules allow."""
+    if isinstance(jobs, SampledJobs):
+        return len(jobs) * jobs[0].spec.max_steps
+    return sum(job.spec.max_steps for job in jobs)
 
 
 def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[Draw]:

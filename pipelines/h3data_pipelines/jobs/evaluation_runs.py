@@ -16,7 +16,7 @@ from h3data.plugins import own_version
 from h3data.recording import Recording
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.jobs.episode_files import FileJobs, notes_on, requested_jobs
-from h3data_pipelines.jobs.episodes import Choices, with_skills
+from h3data_pipelines.jobs.episodes import Choices, check_numbers, with_skills
 from h3data_pipelines.jobs.evaluations import (
     ALL,
     Evaluation,
@@ -71,9 +71,9 @@ class EvaluationRequest:
         from sim_kinematic.policies.assignment import policy_names
         from sim_kinematic.tasks.registry import find_task
 
-        for name, value in (("--episodes", self.episodes), ("--homes", self.homes)):
-            if value is not None and value < 1:
-                raise InputError(f"{name} must be at least 1, got {value}.")
+        check_numbers(
+            episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
+        )  # fmt: skip
         task = find_task(self.task)
         policies = chosen_names("--policies", self.policies, policy_names(task, "robot"))
         crosses = "human" in task.defaults and task.crosses_partners

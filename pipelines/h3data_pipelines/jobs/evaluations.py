@@ -128,14 +128,16 @@ def _plan(task: Any, episode: Any, partner: str | None) -> str:
 
 
 def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...]:
-    """Names from a list with commas between, ``all`` meaning all of them; learned ones by the digest of their weights.
+    """Names from a list with commas between, ``all`` among them meaning all there are; learned ones by the digest of their
+    weights.
 
     Raises:
         InputError: one is unknown, or there is none.
     """
     from sim_kinematic.policies.learned import stamped, weights_hint
 
-    names = tuple(there) if text == ALL else tuple(dict.fromkeys(filter(None, (n.strip() for n in text.split(",")))))
+    asked = [name.strip() for name in text.split(",") if name.strip()]
+    names = tuple(dict.fromkeys(each for name in asked for each in (there if name == ALL else (name,))))
     strangers = [name for name in names if name not in there and ":" not in name]
     if strangers or not names:
         near = f"{did_you_mean(strangers[0], there)}{weights_hint(strangers[0])}" if strangers else ""

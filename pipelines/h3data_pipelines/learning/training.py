@@ -133,6 +133,8 @@ class Train:
             raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
         if self.skill and self.task != "skill":
             raise InputError(f"Expected the name of a skill after the task skill only, got {self.task} {self.skill}.")
+        if self.task == "skill" and not self.skill:
+            raise InputError("Expected the name of a skill: h3data train skill nav, pick or place.")
         if self.task == "rearrange":
             return self._rearrange()
         if self.task not in ("social_nav", "skill"):

@@ -5,18 +5,21 @@ from __future__ import annotations
 import errno
 import re
 import shutil
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
-from h3data.recording.storage import local
+from h3data.recording.finding import find_episodes
+from h3data.recording.parquet.files import is_dataset
+from h3data.recording.storage import local, place
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_pipelines.command import (
     DryRunFlag,
@@ -64,13 +67,15 @@ class Rerender:
     Examples:
         h3data rerender out/demo/episode.mcap --camera top_down --camera robot_arm --outputs rgb,depth -o videos/
         h3data rerender rec/*.mcap --camera third_person --outputs rgb,depth,instance --format data -o training/
+        h3data rerender rec/ --camera third_person -o videos/
         h3data rerender rec/session.mcap --camera my_camera.toml --steps 0:300:2 --format png -o frames/
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files, or episodes of a dataset such as ds#0."""
+    """.mcap files, episodes of a dataset such as ds#0, whole datasets, and folders of these, which are walked."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for the results: <recording>.<camera>.<output>, a video file or a folder of images."""
+    """Folder for the results: <recording>.<camera>.<output>, a video file or a folder of images. Those of a folder keep their
+    place below it."""
     camera: tuple[str, ...] = ()
     """Camera name or .toml file; repeatable (default: top_down). An unknown name prints the list of cameras."""
     outputs: str = "rgb"
@@ -103,17 +108,13 @@ class Rerender:
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap).")
         check_workers(self.executor, self.workers)
-        stems = [recording_stem(path) for path in self.recordings]
-        duplicates = sorted({stem for stem in stems if stems.count(stem) > 1})
-        if duplicates:
+        shards = _shards(self.recordings)
+        twice = [name for name, times in Counter(str(s.below / s.stem) for s in shards).items() if times > 1]
+        if twice:
             raise InputError(
-                f"Several recordings are called {duplicates[0]!r}: their videos would overwrite each other. "
+                f"Several recordings are called {min(twice)!r}: their videos would overwrite each other. "
                 "Render them one at a time, each with a different -o."
             )
-        shards = [
-            Shard(path, stem, f"[{k + 1}/{len(stems)}] " if len(stems) > 1 else "")
-            for k, (path, stem) in enumerate(zip(self.recordings, stems, strict=True))
-        ]
         lines, rows = [], []
         with keeping(lambda: self._kept(rows)), ExitStack() as stack:
             for text, row in self._rendered(shards, stack):
@@ -229,6 +230,8 @@ class Shard:
     stem: str
     counter: str
     """``[2/7] ``."""
+    below: PurePath
+    """Folder of the results below that of the command."""
 
 
 RenderedShard = tuple[list[str], dict[str, Any]]
@@ -237,12 +240,29 @@ RenderedShard = tuple[list[str], dict[str, Any]]
 
 def render_shard(command: Rerender, shard: Shard, *, alone: bool) -> RenderedShard:
     """Renders one recording. What cannot be rendered is listed, unless it is the only one or the disk is full."""
+    command = replace(command, out=command.out / shard.below)
     try:
         return command.render(shard.path, shard.stem, parse_outputs(command.outputs), shard.counter)
     except H3DataError as error:
         if alone or isinstance(error, DiskFullError):
             raise
         return _lost(shard, error)
+
+
+def _shards(paths: Sequence[Path]) -> list[Shard]:
+    """The recordings at the paths, of folders and datasets all that are in them."""
+    found: list[tuple[Path, PurePath]] = []
+    for path in paths:
+        if not place(path).is_dir():
+            found.append((path, PurePath()))
+            continue
+        root = path.parent if is_dataset(place(path)) else path
+        found += [(of := Path(source.name), of.relative_to(root).parent) for source in find_episodes([path])]
+    counters = [f"[{k + 1}/{len(found)}] " if len(found) > 1 else "" for k in range(len(found))]
+    return [
+        Shard(path, recording_stem(path), counter, below)
+        for (path, below), counter in zip(found, counters, strict=True)
+    ]
 
 
 def _counting(results: Iterator[RenderedShard], bar: Any) -> Iterator[RenderedShard]:

@@ -133,8 +133,10 @@ class _Run:
         self.players.warm_up(self._jobs(0))
         self.setup_s = self.elapsed()
         self.setups_s += self.setup_s
+        learners, workers = len(self.learners), players.workers
         say(
-            f"{settings.population}: {len(self.learners)} learners, {players.workers} workers after {self.setup_s:.0f} s"
+            f"{settings.population}: {learners} learner{'s' * (learners != 1)}, {workers} worker{'s' * (workers != 1)} after "
+            f"{self.setup_s:.0f} s"
         )
 
     def elapsed(self) -> float:

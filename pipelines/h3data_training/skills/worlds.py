@@ -113,4 +113,5 @@ class HeldSkills(HeldSteps):
         return {
             "reward": total["reward"] / steps, "succeeded": total["succeeded"] / ended, "failed": total["failed"] / ended,
             "holding": total["holding"] / steps, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
+            "ended": total["ended"],
         }  # fmt: skip

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError, did_you_mean
 from h3data.metrics import MetricsTable, Profile, tabulate
 from h3data.metrics.batch import Part, Spread, parts_of
+from h3data.metrics.episode import for_each_partner, shared_by
 from h3data.metrics.registry import profile_for
 from h3data.recording import Recording, open_recording
 from h3data.recording.finding import find_sources
@@ -29,6 +30,7 @@ from h3data_viewers.html_report.report_evaluations import (
     holds_results,
     population_beside,
     result_episodes,
+    zero_shot_population,
 )
 from h3data_viewers.html_report.report_reading import Found, Unread, read_part
 
@@ -85,7 +87,8 @@ def gather(
     """Reads every recording of datasets, logs and folders of these, and measures each by the profile of its task.
 
     A folder of ``h3data evaluate`` without recordings gives its results. ``zsc`` names the partners of the zero-shot
-    population (default: those that the evaluation was told, else as the recordings say). ``spread`` may have other processes
+    population (default: those that the evaluation was told, else the paper's as far as all of it played, else as the
+    recordings say). ``spread`` may have other processes
     or machines read the recordings.
 
     Raises:
@@ -119,6 +122,8 @@ class _Gathered:
     def __init__(self) -> None:
         self.grouped: dict[tuple[int, str, str], list[ReportEpisode]] = {}
         self.profiles: dict[tuple[int, str, str], Profile] = {}
+        self.evaluated: dict[int, dict[str, None]] = {}
+        """Partners that an evaluation played by name, by place."""
         self.unmeasured: dict[str, list[str]] = {}
         self.count = 0
 
@@ -130,6 +135,7 @@ class _Gathered:
             if holds_results(root):
                 for episode, profile in result_episodes(root):
                     self.count += 1
+                    self._note_evaluated(place, episode)
                     self._group(place, root, episode, profile)
                 continue
             of_root = parts_of(list(find_sources([root])))
@@ -147,7 +153,10 @@ class _Gathered:
                     each.episode.metrics, metrics=tuple(by_id[metric.id] for metric in each.episode.metrics.metrics)
                 )
                 for episode in _with_each_partner(replace(each.episode, metrics=metrics), each.info):
+                    if shared_by(each.info):
+                        self._note_evaluated(place, episode)
                     self._group(place, roots[place], episode, profile)
+        self._drop_parts_of_populations()
 
     def name_population(self, zsc: Sequence[str]) -> None:
         """Makes the episodes with these partners the zero-shot population."""
@@ -160,6 +169,21 @@ class _Gathered:
         for key, episodes in self.grouped.items():
             self.grouped[key] = [
                 replace(e, population="zsc" if e.partner in zsc else e.population.replace("zsc", "")) for e in episodes
+            ]
+
+    def _note_evaluated(self, place: int, episode: ReportEpisode) -> None:
+        self.evaluated.setdefault(place, {})[episode.partner] = None
+
+    def _drop_parts_of_populations(self) -> None:
+        """Without all of it, some of the partners of the zero-shot population are none, as in the table of the evaluation."""
+        for (place, task, policy), episodes in self.grouped.items():
+            parts = self.evaluated.get(place, {})
+            zsc = zero_shot_population(tuple(parts)) if task == "rearrange" else ()
+            self.grouped[place, task, policy] = [
+                replace(e, population="")
+                if e.population == "zsc" and e.partner in parts and e.partner not in zsc
+                else e
+                for e in episodes
             ]
 
     def _group(self, place: int, root: Path, episode: ReportEpisode, profile: Profile) -> None:
@@ -175,16 +199,14 @@ class _Gathered:
 
 def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[ReportEpisode]:
     """The episode once for each partner that it stands for (``info["partners"]`` of ``h3data evaluate --keep``)."""
-    partners = info.get("partners")
-    if not isinstance(partners, list) or not partners:
+    if not shared_by(info):
         return [episode]
-    metrics = episode.metrics
     return [
         replace(
-            episode, partner=str(partner), population=population_beside(str(partner), metrics.task),
-            metrics=replace(metrics, uid=f"{metrics.uid} {partner}", episode_id=f"{metrics.episode_id} with {partner}"),
+            episode, partner=metrics.partner, population=population_beside(metrics.partner, metrics.task),
+            metrics=replace(metrics, episode_id=f"{metrics.episode_id} with {metrics.partner}"),
         )
-        for partner in partners
+        for metrics in for_each_partner(episode.metrics, info)
     ]  # fmt: skip
 
 

@@ -41,6 +41,13 @@ def population_beside(partner: str, task: str) -> str:
     return population_of(partner).removesuffix("-pop") if task == "rearrange" else ""
 
 
+def zero_shot_population(partners: Sequence[str]) -> tuple[str, ...]:
+    """The largest zero-shot population of the paper that all played in an evaluation; empty if none did."""
+    from sim_kinematic.policies.rearrange import zsc_populations
+
+    return (zsc_populations(partners) or ((),))[-1]
+
+
 def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
     """Yields every result of an evaluation, with the profile of its metrics.
 

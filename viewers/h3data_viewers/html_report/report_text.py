@@ -7,6 +7,7 @@ from datetime import date
 from html import escape
 
 from h3data.metrics import Metric
+from h3data.metrics.table import assumed_task
 from h3data_viewers.html_report.report_data import ReportData
 from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table, counted, number, to_html
 
@@ -131,7 +132,8 @@ def meanings(data: ReportData) -> str:
     terms = list(dict.fromkeys(m for run in data.runs for m in run.profile.metrics))
     profiles = dict.fromkeys(run.profile.name for run in data.runs)
     named = " and ".join(f"<code>{escape(name)}</code>" for name in profiles)
-    notes = [
+    notes = [f"{run.name}: {line}" for run in data.runs if (line := assumed_task(run.table.episodes))]
+    notes += [
         f"{run.name}, {name}: {text} ({times} of {len(run.episodes)} episodes)"
         for run in data.runs
         for name, texts in run.table.notes().items()
