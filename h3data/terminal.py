@@ -1,4 +1,4 @@
-"""Text that is safe to print: names inside recordings come from strangers and may hold a terminal's control sequences."""
+"""Text for people to read. Names inside recordings come from strangers and may hold a terminal's control sequences."""
 
 from __future__ import annotations
 
@@ -11,3 +11,8 @@ r"""C0 and C1 control characters except tab and newline, and the overrides of wr
 def printable(text: str) -> str:
     """The text with control characters written out, such as ``\\x1b``, so that it cannot move a cursor or hide words."""
     return _CONTROL.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def counted(count: int, noun: str) -> str:
+    """``1 episode``, ``2 episodes``."""
+    return f"{count} {noun}{'s' * (count != 1)}"

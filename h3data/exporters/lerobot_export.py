@@ -18,6 +18,7 @@ from h3data.recording.parquet.videos import EpisodeVideo
 from h3data.recording.parquet.writer import DatasetWriter
 from h3data.recording.records import Recording
 from h3data.recording.storage import AnyPath, RemotePath, place
+from h3data.terminal import counted
 
 VideosOf = Callable[[int, Recording], AbstractContextManager[Sequence[EpisodeVideo]]]
 """Videos of the episode with this number, of all its steps but the last; their files may go at the end of the block."""
@@ -73,7 +74,7 @@ def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> E
 
     with _appearing_whole(place(request.out)) as root:
         count = write_lerobot(recordings, root, agent=request.agent, videos_of=videos_of if cameras else None)
-    text = f"{request.out}: {count} episode{'s' * (count != 1)} as a LeRobot v3.0 dataset"
+    text = f"{request.out}: {counted(count, 'episode')} as a LeRobot v3.0 dataset"
     if cameras:
         text += f", with videos of {', '.join(cameras)} ({counts['rendered']} rendered, {counts['copied']} copied)"
     return Exported(text=text, data={"episodes": count, "cameras": list(cameras), "videos": counts})

@@ -14,6 +14,7 @@ from h3data.exporters.transitions import Transitions, transitions_of
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.recording.records import Recording
+from h3data.terminal import counted
 
 
 def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent: str | None = None) -> int:
@@ -56,7 +57,7 @@ def export_robomimic(recordings: Iterable[Recording], request: ExportRequest) ->
     """Exports recordings for ``h3data export --to robomimic``."""
     count = write_robomimic(recordings, request.out, agent=request.agent)
     size = request.out.stat().st_size
-    text = f"{request.out}: {count} demonstration{'s' * (count != 1)}, {size_text(size)}"
+    text = f"{request.out}: {counted(count, 'demonstration')}, {size_text(size)}"
     return Exported(text=text, data={"demonstrations": count, "bytes": size})
 
 

@@ -152,7 +152,7 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
 
 
 def measure_part(part: Part, profile: str | None) -> list[Measured]:
-    """What `measure_sources` gives of a part, as it can be sent."""
+    """The results of `measure_sources` for a part, in a form that can be sent."""
     if part.episodes is None:
         results = _attempts([(str(part.source), read_log(part.source))], profile)
     else:

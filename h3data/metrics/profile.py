@@ -19,7 +19,7 @@ GFX_REPLAY = "gfx_replay"
 
 @dataclass(frozen=True, kw_only=True)
 class Computed:
-    """What a profile computes for one recording."""
+    """The numbers that a profile computes for one recording."""
 
     values: Mapping[str, float]
     """Values by metric name; metrics left out are undefined."""

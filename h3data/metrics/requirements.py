@@ -1,4 +1,4 @@
-"""What metrics need of a recording: agents, columns, keys of its info, events; and errors that name what is missing."""
+"""Requirements of metrics: the agents, columns, keys of info and events of a recording, and errors that name missing ones."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def _table_parquet(table: MetricsTable, path: Path) -> None:
 
 
 def _player_columns(table: MetricsTable) -> tuple[str, ...]:
-    """Who played, as far as the recordings say."""
+    """Columns that tell who played, as far as the recordings say."""
     return tuple(name for name in _PLAYERS if any(getattr(row, name) for row in table.episodes))
 
 

@@ -19,6 +19,7 @@ from h3data.files import part_file
 from h3data.recording import Recording
 from h3data.recording.storage import AnyPath, RemotePath, local, remove_tree
 from h3data.render.light.sources import LightMode
+from h3data.terminal import counted
 
 P = TypeVar("P", Path, RemotePath, AnyPath)
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
@@ -119,11 +120,6 @@ def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
     except OSError as error:
         raise InputError(f"Cannot create the folder of the output file ({error.strerror}): {path}") from None
     return path
-
-
-def counted(count: int, noun: str) -> str:
-    """``1 episode``, ``2 episodes``."""
-    return f"{count} {noun}{'s' if count != 1 else ''}"
 
 
 def open_episode(path: AnyPath) -> Recording:

@@ -10,6 +10,7 @@ import torch
 
 from h3data.errors import FormatError, InputError
 from h3data_training.ppo import Learner
+from h3data_training.running import Length, share_of
 from sim_kinematic.torch.graph import overwrite
 
 FORMAT = "h3data.training/1"
@@ -56,10 +57,27 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
         raise FormatError(f"The checkpoint does not fit ({reason}). File: {path}") from None
 
 
-class PlainSettings(Protocol):
+class PlainSettings(Length, Protocol):
     """Settings of a run, whose class has defaults for all of them."""
 
     def as_dict(self) -> dict[str, Any]: ...
+
+
+def to_go_on(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any] | None:
+    """The checkpoint in a file, as `read` reads it; None where there is no file.
+
+    Raises:
+        FormatError, InputError: as `read`, or the run is over.
+    """
+    if not path.exists():
+        return None
+    kept = read(path, settings, seed, form=form)
+    if share_of(settings, kept["curve"], kept["seconds"], kept["setups_s"]) >= 1:
+        raise InputError(
+            f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
+            f"Hint: more --{'updates' if settings.updates else 'minutes'}. Folder: {path.parent}"
+        )
+    return kept
 
 
 def read(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any]:

@@ -8,8 +8,6 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import TypeVar
 
-import numpy as np
-
 from h3data.errors import InputError
 from h3data.habitat.scene_names import listed_scenes
 from h3data.progress import progress
@@ -17,6 +15,7 @@ from h3data_training.settings import Settings
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import WALKERS, SocialNavSpec
 from sim_kinematic.torch.episodes import EpisodeBank
+from sim_kinematic.torch.step import refuse_stairs
 
 MOST_WORKERS = 32
 Task = TypeVar("Task")
@@ -48,7 +47,7 @@ def make_bank(settings: Settings, *, seed: int, workers: int | None = None) -> E
     """
     names = [named.name for named in listed_scenes(settings.scenes)]
     tasks = [(settings, name, episode_seed(seed, k)) for k, name in enumerate(names)]
-    return merged(by_home(_home_bank, tasks, workers=workers))
+    return EpisodeBank.merged(by_home(_home_bank, tasks, workers=workers))
 
 
 def by_home(make: Callable[[Task], Bank], tasks: Sequence[Task], *, workers: int | None = None) -> list[Bank]:
@@ -76,30 +75,7 @@ def _home_bank(task: tuple[Settings, str, int]) -> EpisodeBank:
     bank = EpisodeBank.draw(
         name, settings.episodes_per_home, seed=seed, spec=rules(settings), robot=settings.robot, human=settings.human
     )
-    if any(len(floor.heights) for floor in bank.floors):
-        raise InputError(
-            f"Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave {name} out of the scenes."
-        )
+    refuse_stairs(bank.floors, home=name)
     for floor in bank.floors:
         _ = floor.lattice  # built at first use, and needed on the device
     return bank
-
-
-def merged(banks: list[EpisodeBank]) -> EpisodeBank:
-    """The episodes of several banks, one after the other."""
-    longest = max(bank.way_points.shape[1] for bank in banks)
-    first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
-
-    def padded(rows: np.ndarray) -> np.ndarray:
-        return np.pad(rows, ((0, 0), (0, longest - rows.shape[1]), *[(0, 0)] * (rows.ndim - 2)), mode="edge")
-
-    headings = [bank.headings for bank in banks if bank.headings is not None]
-    columns = ("robot_xz", "robot_heading", "human_xz", "human_heading", "seeds")
-    return EpisodeBank(
-        floors=tuple(floor for bank in banks for floor in bank.floors),
-        scenes=tuple(scene for bank in banks for scene in bank.scenes),
-        place=np.concatenate([bank.place + n for bank, n in zip(banks, first[:-1], strict=True)]),
-        way_points=np.concatenate([padded(bank.way_points) for bank in banks]),
-        headings=np.concatenate([padded(h) for h in headings]) if len(headings) == len(banks) else None,
-        **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
-    )

@@ -22,19 +22,20 @@ from h3data_training.launch import Stop, launch
 from h3data_training.networks import begin_with
 from h3data_training.ppo import Learner, schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
-from h3data_training.running import SPARE_S, Result, Say, is_over, one_thread, share_of, stop_asked
+from h3data_training.running import SPARE_S, Result, Say, one_thread, share_of, stop_asked
 from h3data_training.settings import Settings
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import SkillSettings
 from h3data_training.skills.worlds import HeldSkills
 from h3data_training.worlds import HeldWorlds
+from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 from sim_kinematic.policies.pictured import PICTURES, PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.torch.episodes import EpisodeBank
 from sim_kinematic.torch.skills.bank import SkillBank
 
 Bank = EpisodeBank | SkillBank
-CHECKPOINT, POLICY = "checkpoint.pt", "policy.npz"
+CHECKPOINT, POLICY = "checkpoint.pt", RUN_POLICY
 STARTS = "starts.npz"
 """Of a skill: where its episodes begin, so that a run that goes on need not search for them again."""
 
@@ -107,16 +108,7 @@ class _Job:
 
     def kept(self) -> dict[str, Any] | None:
         """The checkpoint to go on from."""
-        path = self.folder / CHECKPOINT
-        if not self.resume or not path.exists():
-            return None
-        kept = checkpoints.read(path, self.settings, self.seed)
-        if is_over(self.settings, kept["curve"], kept["seconds"], kept["setups_s"]):
-            raise InputError(
-                f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
-                f"Hint: more --{'updates' if self.settings.updates else 'minutes'}. Folder: {self.folder}"
-            )
-        return kept
+        return checkpoints.to_go_on(self.folder / CHECKPOINT, self.settings, self.seed) if self.resume else None
 
     def episodes(self, say: Say) -> Bank:
         bank = self.bank

@@ -1,4 +1,4 @@
-"""What training runs of all kinds share: how long they are, how they are stopped, what they come to."""
+"""Parts of training runs of all kinds: their length, how they are stopped, their results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Length(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What a call of `train` came to."""
+    """Result of a call of `train`."""
 
     folder: Path
     done: bool
@@ -49,11 +49,6 @@ def share_of(settings: Length, curve: list[Any], seconds: float, setups_s: float
     if settings.updates:
         return min(len(curve) / settings.updates, 1.0)
     return min(max((seconds - setups_s) / max(settings.minutes * 60 - setups_s - SPARE_S, 1e-9), 0.0), 1.0)
-
-
-def is_over(settings: Length, curve: list[Any], seconds: float, setups_s: float) -> bool:
-    """Whether nothing is left to do."""
-    return share_of(settings, curve, seconds, setups_s) >= 1
 
 
 @contextmanager

@@ -106,7 +106,7 @@ def _loaded(path: Path, changed_ns: int) -> AnyNetwork:
 
 
 def _kind_of(network: str) -> type[PicturedNetwork] | type[ChooserNetwork]:
-    """What the card of a policy file names; PyTorch is imported for one that needs it."""
+    """The class of the network that a card names; PyTorch is imported for one that needs it."""
     if network == chooser_network.KIND:
         return ChooserNetwork
     if network == "resnet18_lstm":

@@ -43,7 +43,7 @@ class LearnedChooser:
 
 
 def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser | RecurrentChooser:
-    """What ``weights:FILE`` or the name of a trained policy means.
+    """The chooser that ``weights:FILE`` or the name of a trained policy means.
 
     Raises:
         InputError: there is no such file, it is none, or does not fit.

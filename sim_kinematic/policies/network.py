@@ -102,7 +102,7 @@ class Network:
 
 
 def _faults(net: Network) -> list[str]:
-    """What does not fit together, in words."""
+    """Parts of a network that do not fit together, in words."""
     faults: list[str] = []
     if net.activation not in get_args(Activation):
         faults.append(f"the activation is {net.activation!r}, expected one of {', '.join(get_args(Activation))}")

@@ -48,7 +48,7 @@ class HighLevelPolicy(Protocol):
     """
 
     def act(self, view: RearrangeView) -> Action:
-        """What to do next; asked when the last action has ended or was interrupted."""
+        """Chooses the next action; asked when the last action has ended or was interrupted."""
         ...
 
 
@@ -152,7 +152,8 @@ def persons_object(view: RearrangeView) -> int:
 
 
 def _complement(view: RearrangeView, left: list[int]) -> int | None:
-    """What the person does not go for. As long as nobody knows, the one that is farther from the person than from the robot."""
+    """The object that the person does not go for. As long as nobody knows, the one that is farther from the person than from
+    the robot."""
     if np.isnan(view.other_xz).any():
         return _nearest(view, left)
     theirs = persons_object(view)
@@ -228,7 +229,7 @@ def partner_policy(name: str, seed: int, objects: int = 2) -> HighLevelPolicy:
 
 
 def planner(plan: str, seed: int, objects: int = 2) -> Planner:
-    """Who follows a plan; the order of ``both`` is drawn from the seed, as Habitat's search for a plan leaves it to chance."""
+    """The planner of a plan; the order of ``both`` is drawn from the seed, since Habitat's search leaves it to chance."""
     wanted = list(range(objects)) if plan == "both" else [k for k in PLANS[plan] if k < objects]
     if len(wanted) > 1:
         wanted = generator(seed, "plan_order").permutation(wanted).tolist()

@@ -211,7 +211,7 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
 def _assigned(
     task: Task, episode: Episode, recording: Recording, new: dict[str, Any], *, strict: bool, keeps_people: bool = False
 ) -> list[AssignedPolicy]:
-    """What decides for each agent: what is chosen, else the recording's own policy."""
+    """The policy of each agent: the one that is chosen, else the recording's own."""
     named = task.recorded_names(recording)
     result = []
     for k, member in enumerate(episode.roster):

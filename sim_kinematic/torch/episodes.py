@@ -80,6 +80,26 @@ class EpisodeBank:
             seeds=np.array([episode.seed for episode in episodes], np.int64),
         )
 
+    @classmethod
+    def merged(cls, banks: Sequence[EpisodeBank]) -> EpisodeBank:
+        """The episodes of several banks, one after the other."""
+        longest = max(bank.way_points.shape[1] for bank in banks)
+        first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
+
+        def padded(rows: np.ndarray) -> np.ndarray:
+            return np.pad(rows, ((0, 0), (0, longest - rows.shape[1]), *[(0, 0)] * (rows.ndim - 2)), mode="edge")
+
+        headings = [bank.headings for bank in banks if bank.headings is not None]
+        columns = ("robot_xz", "robot_heading", "human_xz", "human_heading", "seeds")
+        return cls(
+            floors=tuple(floor for bank in banks for floor in bank.floors),
+            scenes=tuple(scene for bank in banks for scene in bank.scenes),
+            place=np.concatenate([bank.place + n for bank, n in zip(banks, first[:-1], strict=True)]),
+            way_points=np.concatenate([padded(bank.way_points) for bank in banks]),
+            headings=np.concatenate([padded(h) for h in headings]) if len(headings) == len(banks) else None,
+            **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
+        )
+
     def __len__(self) -> int:
         return len(self.place)
 

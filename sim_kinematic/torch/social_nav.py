@@ -30,6 +30,7 @@ from sim_kinematic.torch.step import (
     drive_robots,
     heading_direction,
     move_humans,
+    refuse_stairs,
     walk_humans,
     wrap_angle,
 )
@@ -135,10 +136,7 @@ class SocialNavTensors:
             )
         self._end_on_success = end_on_success
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
-        if any(len(floor.heights) for floor in bank.floors):
-            raise InputError(
-                "Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave them out of the scenes."
-            )
+        refuse_stairs(bank.floors)
         self._lattices = Lattices.of(bank.floors, self.device, self.dtype)
         body = load_robot(robot)
         self.base = base_of(body, spec.robot)

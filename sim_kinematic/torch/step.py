@@ -10,9 +10,9 @@ Points on the floor are [..., W, 2]: what a world has several of comes before it
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -23,12 +23,15 @@ from h3data.errors import InputError
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.torch.state import HumanTensors, RobotTensors
 
+if TYPE_CHECKING:
+    from h3data.scene import FreeSpace
+
 FLAT = 1e-9
 """A gradient of the distance shorter than this [m per cell] gives no direction: it is divided by this, not by its length."""
 
 
 class Floor(Protocol):
-    """What is read of a `h3data.scene.FreeSpace`."""
+    """The parts of a `h3data.scene.FreeSpace` that motion on a device reads."""
 
     @property
     def sdf(self) -> NDArray[np.float32]: ...
@@ -36,6 +39,17 @@ class Floor(Protocol):
     def origin(self) -> NDArray[np.float64]: ...
     @property
     def cell_m(self) -> float: ...
+
+
+def refuse_stairs(floors: Iterable[FreeSpace], *, home: str = "them") -> None:
+    """
+    Raises:
+        InputError: a floor has stairs; the message says to leave the ``home`` out.
+    """
+    if any(len(floor.heights) for floor in floors):
+        raise InputError(
+            f"Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave {home} out of the scenes."
+        )
 
 
 _PER_FLOOR = ("shift", "scale", "top", "last", "stride", "first", "cell")

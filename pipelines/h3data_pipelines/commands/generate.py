@@ -16,6 +16,7 @@ from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
+from h3data.terminal import counted
 from h3data_pipelines.command import (
     AssetsOption,
     DryRunFlag,
@@ -28,7 +29,6 @@ from h3data_pipelines.command import (
     ShareScenesFlag,
     WalkOption,
     claim_folder,
-    counted,
     keeping,
     remove_dataset,
     uninterrupted,
@@ -320,7 +320,7 @@ class Generate:
 
 
 def _kept(out: AnyPath) -> str:
-    """What an interrupted run leaves behind."""
+    """A line on the episodes that an interrupted run leaves behind."""
     from h3data.recording import Dataset
 
     try:

@@ -14,7 +14,8 @@ import tyro
 
 from h3data.errors import InputError
 from h3data.files import part_file
-from h3data_pipelines.command import JsonFlag, Outcome, WalkOption, claim_folder, counted, keeping
+from h3data.terminal import counted
+from h3data_pipelines.command import JsonFlag, Outcome, WalkOption, claim_folder, keeping
 from h3data_pipelines.commands.serving import (
     CertOption,
     HostOption,

@@ -30,7 +30,7 @@ class Evaluation:
     """Whether the recordings of all pairs are results too."""
 
     def to_json(self) -> dict[str, Any]:
-        """What decides the results."""
+        """Everything that decides the results, as plain values."""
         fields = self.base.to_json()
         fields.pop("policy", None)
         fields.pop("partner", None)

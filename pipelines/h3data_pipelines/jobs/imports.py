@@ -14,7 +14,8 @@ from h3data.habitat.hitl.session_manifest import SessionManifest, read_manifest
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.replay import Replay
-from h3data_pipelines.command import claim_file, counted, keeping
+from h3data.terminal import counted
+from h3data_pipelines.command import claim_file, keeping
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from h3data.habitat.scene_names import listed_scenes
-from h3data_pipelines.command import Outcome, counted
+from h3data.terminal import counted
+from h3data_pipelines.command import Outcome
 from h3data_pipelines.learning.folders import run_folder
 from h3data_pipelines.learning.lines import say
 

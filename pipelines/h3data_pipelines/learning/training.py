@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from h3data.errors import InputError
-from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, counted
+from h3data.terminal import counted
+from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome
 from h3data_pipelines.learning.folders import run_folder
 from h3data_pipelines.learning.lines import say
 

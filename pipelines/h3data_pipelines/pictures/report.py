@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.errors import InputError
+from h3data.terminal import counted
 from h3data_pipelines.command import (
     ForceFlag,
     JsonFlag,
@@ -17,7 +18,6 @@ from h3data_pipelines.command import (
     Outcome,
     PeopleOption,
     claim_file,
-    counted,
     write_text,
 )
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened

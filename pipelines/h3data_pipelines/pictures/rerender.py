@@ -21,6 +21,7 @@ from h3data.recording.finding import find_episodes
 from h3data.recording.parquet.files import is_dataset
 from h3data.recording.storage import local, place
 from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.terminal import counted
 from h3data_pipelines.command import (
     DryRunFlag,
     ForceFlag,
@@ -28,7 +29,6 @@ from h3data_pipelines.command import (
     LightOption,
     Outcome,
     PeopleOption,
-    counted,
     keeping,
     open_episode,
 )

@@ -14,7 +14,8 @@ import tyro
 
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
-from h3data_pipelines.command import JsonFlag, Outcome, counted, keeping
+from h3data.terminal import counted
+from h3data_pipelines.command import JsonFlag, Outcome, keeping
 from h3data_pipelines.commands.serving import require_aiohttp, say, started_server
 from h3data_pipelines.studies.running import keep_design, running
 

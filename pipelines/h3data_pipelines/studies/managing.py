@@ -11,7 +11,8 @@ from typing import Any
 import tyro
 
 from h3data.errors import InputError, did_you_mean
-from h3data_pipelines.command import DryRunFlag, JsonFlag, Outcome, counted
+from h3data.terminal import counted
+from h3data_pipelines.command import DryRunFlag, JsonFlag, Outcome
 from h3data_pipelines.studies.running import running
 
 REPORT = "report"

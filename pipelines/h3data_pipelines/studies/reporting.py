@@ -15,7 +15,8 @@ import tyro
 
 from h3data.errors import InputError
 from h3data.files import part_file
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, counted, write_text
+from h3data.terminal import counted
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, write_text
 from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 from h3data_pipelines.studies.managing import REPORT
 

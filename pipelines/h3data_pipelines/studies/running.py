@@ -14,7 +14,8 @@ import tyro
 
 from h3data.errors import InputError
 from h3data.files import part_file
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, counted, keeping, write_text
+from h3data.terminal import counted
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, keeping, write_text
 from h3data_pipelines.commands.serving import (
     CertOption,
     HostOption,

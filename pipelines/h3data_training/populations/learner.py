@@ -59,14 +59,14 @@ class ChooserLearner:
         self._acts = torch.ones((), device=self.device)
         self.optimizer = torch.optim.Adam(self.net.parameters(), self._rate, eps=1e-5, capturable=self._on_gpu)
         self._x: dict[str, Tensor] = {}
-        """The minibatch that a gradient step learns from,"""
+        """The minibatch that a gradient step learns from."""
         self._means = torch.zeros(4, device=self.device)
-        """and what it finds: loss of the critic, entropy, KL divergence, share of clipped ratios."""
+        """Means over it: loss of the critic, entropy, KL divergence, share of clipped ratios."""
         self._step: Callable[[], None] = self._eager
 
     @property
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps: numbers only."""
+        """Weights and optimizer for a checkpoint: numbers only."""
         return {"net": self.net.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -145,7 +145,7 @@ class ChooserLearner:
         return self._means.clone()
 
     def _moments(self) -> list[Tensor]:
-        """What Adam remembers, which it would otherwise make in its first step."""
+        """Moments of Adam, made here where its first step would make them: a graph needs them before."""
         for weight in self.net.parameters():
             if not self.optimizer.state[weight]:
                 zeros = {name: torch.zeros_like(weight) for name in ("exp_avg", "exp_avg_sq")}

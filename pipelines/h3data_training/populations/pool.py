@@ -106,7 +106,7 @@ def draw_pool(settings: PopulationSettings, *, workers: int = 1) -> Pool:
 
 
 def _of_homes(make: Callable[[HomeTask], list[T]], settings: PopulationSettings, workers: int) -> list[T]:
-    """What ``make`` finds in all homes together."""
+    """The lists that ``make`` returns for all homes, one after the other."""
     names = [named.name for named in listed_scenes(settings.scenes)]
     drawn = by_home(make, [(settings, name, k) for k, name in enumerate(names)], workers=workers)
     if not any(drawn):
@@ -205,7 +205,7 @@ def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Re
         bank, kept = load_bank(file)
         _require_drawn_by(settings, kept, file)
         return bank
-    bank = RearrangeBank.joined(_of_homes(_home_bank, settings, workers))
+    bank = RearrangeBank.merged(_of_homes(_home_bank, settings, workers))
     save_bank(bank, file, drawn_by=drawn_by(settings))
     return bank
 

@@ -16,6 +16,7 @@ import torch
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.plugins import own_version
+from h3data.terminal import counted
 from h3data_training import checkpoints
 from h3data_training.curve import EventLog, save_curve
 from h3data_training.launch import Stop
@@ -23,15 +24,16 @@ from h3data_training.populations.learner import ChooserLearner, plan_at
 from h3data_training.populations.playing import Job, Played, Players
 from h3data_training.populations.pool import bank_of, default_workers, episodes_of, pool_of, pool_order
 from h3data_training.populations.settings import ROBOT, PopulationSettings
-from h3data_training.running import SPARE_S, Result, Say, is_over, one_thread, share_of, stop_asked
+from h3data_training.running import SPARE_S, Result, Say, one_thread, share_of, stop_asked
 from sim_kinematic.envs.torch_env import checked_device
+from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.pictured import save_pictured
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
 
 if TYPE_CHECKING:
     from h3data_training.populations.worlds import TensorPlayers
 
-CHECKPOINT, POLICY, EPISODES, BANK = "checkpoint.pt", "policy.npz", "episodes.json.gz", "episodes.npz"
+CHECKPOINT, POLICY, EPISODES, BANK = "checkpoint.pt", RUN_POLICY, "episodes.json.gz", "episodes.npz"
 FORMAT = "h3data.populations/1"
 
 
@@ -70,7 +72,7 @@ def train(
         raise InputError(f"Expected at least 1 worker, got {count}.")
     if settings.oracle:
         checked_device(device)
-    kept = _kept(folder, settings, seed) if resume else None
+    kept = checkpoints.to_go_on(folder / CHECKPOINT, settings, seed, form=FORMAT) if resume else None
     with stop_asked() as stop:
         players = _players(episodes, settings, count, device, episodes_file, folder, say)
         say(f"{players.size} episodes in {players.homes} homes after {time.time() - began:.0f} s")
@@ -101,20 +103,6 @@ def _players(
     return TensorPlayers(bank, device, moves_starts=settings.moves_starts)
 
 
-def _kept(folder: Path, settings: PopulationSettings, seed: int) -> dict[str, Any] | None:
-    """The checkpoint to go on from."""
-    path = folder / CHECKPOINT
-    if not path.exists():
-        return None
-    kept = checkpoints.read(path, settings, seed, form=FORMAT)
-    if is_over(settings, kept["curve"], kept["seconds"], kept["setups_s"]):
-        raise InputError(
-            f"The run is over: {len(kept['curve'])} updates in {kept['seconds'] / 60:.1f} minutes. "
-            f"Hint: more --{'updates' if settings.updates else 'minutes'}. Folder: {folder}"
-        )
-    return kept
-
-
 class _Run:
     def __init__(
         self, folder: Path, settings: PopulationSettings, seed: int, players: Players | TensorPlayers,
@@ -133,11 +121,8 @@ class _Run:
         self.players.warm_up(self._jobs(0))
         self.setup_s = self.elapsed()
         self.setups_s += self.setup_s
-        learners, workers = len(self.learners), players.workers
-        say(
-            f"{settings.population}: {learners} learner{'s' * (learners != 1)}, {workers} worker{'s' * (workers != 1)} after "
-            f"{self.setup_s:.0f} s"
-        )
+        learners, workers = counted(len(self.learners), "learner"), counted(players.workers, "worker")
+        say(f"{settings.population}: {learners}, {workers} after {self.setup_s:.0f} s")
 
     def elapsed(self) -> float:
         """Seconds of this call."""

@@ -81,9 +81,8 @@ class HeldSkills(HeldSteps):
             shown["arm_depth"] = scaled_depth(self._cameras.observe(self.play)["depth"])[..., None]
         if not self._shown:
             self._shown = {name: tensor.clone() for name, tensor in shown.items()}
-        overwrite(
-            (self._shown[name] for name in shown), shown.values()
-        )  # a captured graph writes there in every replay
+        # a captured graph writes there in every replay
+        overwrite((self._shown[name] for name in shown), shown.values())
 
     def _step_held(self, k: int) -> None:
         self._move(k == self.hold - 1)

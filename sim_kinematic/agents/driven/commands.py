@@ -81,7 +81,7 @@ Do = Pick | Place | Drop | HandOver | Open | Close
 
 @dataclass(frozen=True)
 class PersonCommand:
-    """What a driven person does in one step."""
+    """The movement of a driven person in one step."""
 
     forward: float = 0.0
     """-1..1 of the walking speed; negative walks backwards."""

@@ -430,7 +430,7 @@ class RearrangePlay:
         return bool((np.hypot(*(discs[:, :2] - person.xz).T) < least - APART_TOLERANCE_M).any())
 
     def view(self, agent: int) -> RearrangeView:
-        """What an agent knows now."""
+        """The knowledge of an agent at this moment."""
         runner = self.runner(agent)
         me, other = self.actors[runner.number], self.encounters.nearest(runner.number)
         track = self.encounters.track(other) if other >= 0 else np.full((1, 2), np.nan)

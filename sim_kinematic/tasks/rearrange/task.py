@@ -392,7 +392,7 @@ class Rearrange(Task):
     def keep_people(
         self, play: Play, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
-        """What people take and put down they do as recorded, unless it is not there."""
+        """People take things and put them down as recorded, except what is not there."""
         assert isinstance(play, RearrangePlay)
         first = min(since, _track_from(recording))
         tracks = [KeptTrack.of(recording, person.number, play.bodies) for person in play.people]

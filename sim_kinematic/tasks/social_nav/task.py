@@ -53,7 +53,7 @@ PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
 
 @dataclass(eq=False)
 class SocialNavState:
-    """What the rules remember of W worlds, [W] each."""
+    """Memory of the rules for W worlds, [W] each."""
 
     rewards: SocialNavReward | None
     """None where nobody asks for rewards."""

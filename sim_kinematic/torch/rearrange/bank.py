@@ -21,7 +21,7 @@ from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, PAIR, RearrangeE
 from sim_kinematic.tasks.rearrange.oracle import errands_of, floor_ways
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
-from sim_kinematic.torch.step import Floor
+from sim_kinematic.torch.step import Floor, refuse_stairs
 
 ROBOT, HUMAN, FLOOR = 0, 1, 2
 """Whose paths a table is of: the two agents', to where they stand, and anybody's to the floor below an object."""
@@ -141,7 +141,7 @@ class RearrangeBank:
         )  # fmt: skip
 
     @classmethod
-    def joined(cls, banks: Sequence[RearrangeBank]) -> RearrangeBank:
+    def merged(cls, banks: Sequence[RearrangeBank]) -> RearrangeBank:
         """The episodes of several banks, one after the other, of the same rules and bodies: that of all of them, if no two are
         in the same home."""
         widest = max(bank.ends.shape[2] for bank in banks)
@@ -235,7 +235,4 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
             )
         if agent_floor(episode, ROBOT) is not episode.free:
             raise InputError(f"On a device robots are as narrow as people; {episode.roster[ROBOT].model} is wider.")
-        if len(episode.free.heights):
-            raise InputError(
-                "Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave them out of the scenes."
-            )
+        refuse_stairs([episode.free])

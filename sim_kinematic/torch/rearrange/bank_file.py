@@ -70,7 +70,7 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
         ours = about["format"] == FORMAT and len(arrays["place"]) > 0 and set(arrays) == set(ARRAYS)
         drawn_by, rules = dict(about["drawn_by"]), about["rules"]
     except Exception as fault:  # zipfile and numpy have a dozen ways to say that bits are wrong
-        why = fault if zipfile.is_zipfile(path) else "not an npz file"
+        why = fault if isinstance(fault, OSError) or zipfile.is_zipfile(path) else "not an npz file"
         raise FormatError(f"Expected a bank of episodes ({FORMAT}), this is none ({why}). File: {path}") from None
     if not ours:
         raise FormatError(f"Expected a bank of episodes {FORMAT}, got {about['format']}. File: {path}")

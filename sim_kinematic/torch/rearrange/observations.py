@@ -1,4 +1,4 @@
-"""What agents are shown on a device: the numbers of `sim_kinematic.policies.rearrange_observations`, by the same names."""
+"""Observations on a device: the numbers of `sim_kinematic.policies.rearrange_observations`, by the same names."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Paths(NamedTuple):
 
 
 class View(NamedTuple):
-    """What one agent of each world may know."""
+    """Everything that one agent of each world may know."""
 
     sim: RearrangeTensors
     play: Play
@@ -73,7 +73,7 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, agent: str, paths: Paths | None = None) -> View:
-        """Of ``robot`` or ``human``; with ``paths`` where they are known already."""
+        """The view of the ``robot`` or the ``human``; without ``paths`` `observed` looks them up."""
         own, other = (play.robot, play.human) if agent == "robot" else (play.human, play.robot)
         is_robot = agent == "robot"
         return cls(

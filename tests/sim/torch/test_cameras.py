@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch")
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.render.gpu import GpuRenderer  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
-from h3data_training.episodes import merged, rules  # noqa: E402
+from h3data_training.episodes import rules  # noqa: E402
 from h3data_training.worlds import HeldWorlds  # noqa: E402
 from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv  # noqa: E402
 from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
@@ -109,7 +109,7 @@ def test_each_world_sees_the_home_of_its_episode(device: Any, monkeypatch: pytes
     shown: Any = ("arm_rgb", "humanoid_detector", "humanoid_gps")
     settings = small(picture_size=SIZE, episodes_per_home=1, worlds=4, observations=shown)
     homes = ("small:1", "h3-homes-v2/train#0")
-    bank = merged([EpisodeBank.draw(home, 1, seed=k, spec=rules(settings)) for k, home in enumerate(homes)])
+    bank = EpisodeBank.merged([EpisodeBank.draw(home, 1, seed=k, spec=rules(settings)) for k, home in enumerate(homes)])
     env = SocialNavTorchEnv(
         4, device=name, dtype=torch.float32, observations=shown, spec=rules(settings), episodes=bank, depth_size=SIZE,
     )  # fmt: skip

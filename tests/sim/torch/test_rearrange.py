@@ -68,7 +68,7 @@ def test_banks_of_homes_are_the_bank_of_all(episodes: list[RearrangeEpisode]) ->
     for episode in episodes:
         of_home.setdefault(id(episode.free), []).append(episode)
     assert len(of_home) > 1
-    found = RearrangeBank.joined([RearrangeBank.of(own) for own in of_home.values()])
+    found = RearrangeBank.merged([RearrangeBank.of(own) for own in of_home.values()])
     wanted = RearrangeBank.of([episode for own in of_home.values() for episode in own])
     for field in fields(RearrangeBank):
         mine, theirs = getattr(found, field.name), getattr(wanted, field.name)

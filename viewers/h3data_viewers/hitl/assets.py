@@ -1,5 +1,5 @@
-"""What a client needs once for each home and cast: a GLB of everything, a manifest that says how states move it, the distance
-grid on which it predicts the player's own walk."""
+"""Files that a client needs once for each home and cast: a GLB of everything, a manifest that says how states move it, the
+distance grid on which it predicts the player's own walk."""
 
 from __future__ import annotations
 

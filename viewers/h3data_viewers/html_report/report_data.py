@@ -88,8 +88,7 @@ def gather(
 
     A folder of ``h3data evaluate`` without recordings gives its results. ``zsc`` names the partners of the zero-shot
     population (default: those that the evaluation was told, else the paper's as far as all of it played, else as the
-    recordings say). ``spread`` may have other processes
-    or machines read the recordings.
+    recordings say). ``spread`` may have other processes or machines read the recordings.
 
     Raises:
         InputError: there is no recording, or a path is given twice; a partner in ``zsc`` does not occur; what `tabulate`
