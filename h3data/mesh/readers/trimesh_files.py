@@ -1,9 +1,8 @@
-"""Reads OBJ, PLY, STL and Collada files through trimesh: colours of vertices, faces and materials, and textures."""
+"""Reads OBJ, PLY and STL files through trimesh: colours of vertices, faces and materials, and textures."""
 
 from __future__ import annotations
 
 import logging
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,6 @@ from h3data.mesh.mesh import Mesh, Texture
 
 _log = logging.getLogger(__name__)
 
-COLLADA_HINT = "Hint: pip install 'h3data[collada]'"
-
 
 def read_with_trimesh(path: Path) -> list[Mesh]:
     """Reads the meshes of a file in its own frame and units. Raises whatever trimesh's readers raise.
@@ -29,29 +26,20 @@ def read_with_trimesh(path: Path) -> list[Mesh]:
     """
     import trimesh
 
-    if path.suffix.lower() == ".dae" and find_spec("collada") is None:
-        raise SceneError(f"Collada needs the package pycollada. {COLLADA_HINT}")
-
-    beside = _Beside(path.parent)
+    beside = FilesBeside(path)
     resolver: Any = beside
     with path.open("rb") as file, np.errstate(all="ignore"):  # such values are refused afterwards
         scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), resolver=resolver, process=False)
-    if beside.outside:
-        _log.warning(
-            "the name %r leads out of the file's folder, which is not followed: its surfaces show other colours: %s",
-            *(beside.outside[0], path),
-        )
-    elif beside.missing:
-        _log.warning("there is no file %r beside it, its surfaces show other colours: %s", beside.missing[0], path)
+    beside.warn()
     geometries = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
     return [_mesh(g, path) for g in geometries if isinstance(g, trimesh.Trimesh) and len(g.faces)]
 
 
-class _Beside:
-    """Gives trimesh the files that a mesh file names; keeps the names of those that lie outside or are missing."""
+class FilesBeside:
+    """Gives readers the files that a mesh file names; keeps the names of those that lie outside or are missing."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self.outside: list[str] = []
         self.missing: list[str] = []
 
@@ -62,12 +50,24 @@ class _Beside:
             self.outside.append(text[:200])
             raise FileNotFoundError(text)
         try:
-            return (self._folder / clean).read_bytes()
+            return (self._path.parent / clean).read_bytes()
         except OSError:
             self.missing.append(text[:200])
             raise
 
     __getitem__ = get
+
+    def warn(self) -> None:
+        """One warning for the first name that led nowhere."""
+        if self.outside:
+            _log.warning(
+                "the name %r leads out of the file's folder, which is not followed: its surfaces show other colours: %s",
+                *(self.outside[0], self._path),
+            )
+        elif self.missing:
+            _log.warning(
+                "there is no file %r beside it, its surfaces show other colours: %s", self.missing[0], self._path
+            )
 
 
 def _mesh(geometry: Any, path: Path) -> Mesh:
