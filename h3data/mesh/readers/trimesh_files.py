@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,12 @@ from h3data.files import path_inside
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR
 from h3data.mesh.images import picture_texture
 from h3data.mesh.mesh import Mesh, Texture
+from h3data.mesh.readers.material_files import material_uv, mtl_with_plain_names
+from h3data.mesh.readers.polygon_files import obj_of_triangles, ply_of_triangles
 
 _log = logging.getLogger(__name__)
+
+_TRIANGLES_OF = {"obj": obj_of_triangles, "ply": ply_of_triangles}
 
 
 def read_with_trimesh(path: Path) -> list[Mesh]:
@@ -28,8 +33,10 @@ def read_with_trimesh(path: Path) -> list[Mesh]:
 
     beside = FilesBeside(path)
     resolver: Any = beside
-    with path.open("rb") as file, np.errstate(all="ignore"):  # such values are refused afterwards
-        scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), resolver=resolver, process=False)
+    kind = path.suffix[1:].lower()
+    with np.errstate(all="ignore"):  # such values are refused afterwards
+        data = io.BytesIO(_TRIANGLES_OF.get(kind, bytes)(path.read_bytes()))
+        scene = trimesh.load_scene(data, file_type=kind, resolver=resolver, process=False)
     beside.warn()
     geometries = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
     return [_mesh(g, path) for g in geometries if isinstance(g, trimesh.Trimesh) and len(g.faces)]
@@ -50,10 +57,11 @@ class FilesBeside:
             self.outside.append(text[:200])
             raise FileNotFoundError(text)
         try:
-            return (self._path.parent / clean).read_bytes()
+            data = (self._path.parent / clean).read_bytes()
         except OSError:
             self.missing.append(text[:200])
             raise
+        return mtl_with_plain_names(data) if clean.lower().endswith(".mtl") else data
 
     __getitem__ = get
 
@@ -93,7 +101,7 @@ def _mesh(geometry: Any, path: Path) -> Mesh:
     if image is not None and getattr(image, "format", None) is None:
         material = image = None  # trimesh's stand-in for a missing material
     texture = None if image is None or uv is None or len(uv) != len(vertices) else _texture(image, material, path)
-    if texture is None:
+    if texture is None or uv is None:
         factor = _first(material, "diffuse", "baseColorFactor")
         color = DEFAULT_COLOR if factor is None else np.asarray(factor)[:3].astype(np.uint8)
         colors = np.full((len(vertices), 3), color, np.uint8)
@@ -103,7 +111,7 @@ def _mesh(geometry: Any, path: Path) -> Mesh:
         faces=faces,
         colors=np.full((len(vertices), 3), 255, np.uint8),
         normals=normals,
-        uv=_uv(uv),
+        uv=_uv(material_uv(material, uv)),
         textures=(texture,),
     )
 
