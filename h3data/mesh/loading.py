@@ -107,8 +107,9 @@ def _node_box(file: GltfFile) -> NDArray[np.float64]:
     outermost = []
     for at in range(len(file.nodes) - 1, -1, -1):  # children before parents
         index, parent, _ = file.nodes[at]
-        mesh = file.node(index).get("mesh")
-        own = [] if mesh is None else [_bounds(part) for part in file.mesh(mesh)]
+        shown = file.node(index).get("mesh") is not None
+        boxes = [b for b in (_bounds(part) for part in file.mesh(file.node(index))) if len(b)] if shown else []
+        own = [_corners(b) @ m[:3, :3].T + m[:3, 3] for b in boxes for m in file.instances(index)]
         box = _box_around([*own, *inside[at]])
         if len(box):
             matrix = local_matrix(file.node(index), f"nodes[{index}]")
