@@ -205,17 +205,15 @@ def _see_through(
     seen = alpha[faces.ravel()]
     if (seen >= 1).all():
         return None, None
-    if (seen == seen[0]).all():
-        return _white((round(float(seen[0]) * 255),)), np.zeros((count, 2), np.float32)
     u = (alpha * 255 + 0.5) / 256
-    return _white(tuple(range(256))), np.column_stack([u, np.full(count, 0.5)]).astype(np.float32)
+    return _white_ramp(), np.column_stack([u, np.full(count, 0.5)]).astype(np.float32)
 
 
-@lru_cache(maxsize=256)
-def _white(opacities: tuple[int, ...]) -> Texture:
-    """A row of white texels of these opacities."""
-    pixels = np.full((1, len(opacities), 4), 255, np.uint8)
-    pixels[0, :, 3] = opacities
+@lru_cache(maxsize=1)
+def _white_ramp() -> Texture:
+    """A row of white texels of all opacities: a texture without any solid texel would be drawn as a solid one."""
+    pixels = np.full((1, 256, 4), 255, np.uint8)
+    pixels[0, :, 3] = np.arange(256)
     return Texture(pixels=pixels)
 
 

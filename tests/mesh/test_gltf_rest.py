@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from h3data.mesh.mesh import Mesh
+from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
 from tests.mesh.gltf_builder import FLOAT, U8, U16, Builder
 
 HALF = np.sqrt(0.5)
@@ -130,7 +131,11 @@ def test_colour_alone_makes_glass(tmp_path: Path, material: dict, opacity: int) 
     build = Builder()
     build.document["materials"] = [material]
     build.primitive["material"] = 0
-    assert (seen(build.mesh(tmp_path)) == opacity).all()
+    mesh = build.mesh(tmp_path)
+    assert (np.abs(seen(mesh).astype(int) - opacity) <= 1).all()
+    renderer = Renderer(RenderScene([mesh], [RenderInstance(0, np.eye(4))]))
+    depth = renderer.render(pinhole(8, 8, hfov_deg=20, pose=look_at((0.6, 0.4, 2), (0.6, 0.4, 0))), outputs=("depth",))
+    assert bool(np.isfinite(depth["depth"]).all() and depth["depth"].any()) == (opacity == 255)
 
 
 def test_vertex_colours_make_glass(tmp_path: Path) -> None:
