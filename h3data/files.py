@@ -72,8 +72,9 @@ def part_file(
     """Yields a temporary path beside ``path``; renames it to ``path`` on success and removes it on any exception except
     those in ``kept_after``.
 
-    The temporary path is ``<path>.part``. With ``shared`` its name is unique, so that several processes may fill the same
-    cache entry at once; the last one to finish wins.
+    The temporary path is ``<path>.part``, absolute: libraries take a relative one such as ``walk:1.mp4`` for a URI. With
+    ``shared`` its name is unique, so that several processes may fill the same cache entry at once; the last one to finish
+    wins.
 
     Raises:
         InputError: the folder does not exist.
@@ -81,9 +82,10 @@ def part_file(
     final = Path(path)
     if not final.parent.is_dir():
         raise InputError(f"Cannot write here: the folder does not exist. Hint: create it first. Folder: {final.parent}")
-    part = final.with_name(final.name + ".part")
+    beside = final.absolute()
+    part = beside.with_name(final.name + ".part")
     if shared:  # not `tempfile.mkstemp`, whose files only their owner can read
-        part = final.with_name(f"{final.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
+        part = beside.with_name(f"{final.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
         yield part
         os.replace(part, final)

@@ -375,23 +375,6 @@ def test_a_floating_joint_is_held(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     assert "joint 1: a floating joint is held" in warned
 
 
-def test_boxes_stand_in_for_collada_without_its_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    from h3data.bodies.robots import stand_ins
-    from h3data.mesh import trimesh_files
-
-    for module in (stand_ins, trimesh_files):
-        monkeypatch.setattr(module, "find_spec", lambda name: None)
-    (tmp_path / "a.dae").write_text("<COLLADA/>")
-    path = _write(tmp_path, '<link name="a"><visual><geometry><mesh filename="a.dae"/></geometry></visual></link>')
-    robot = load_robot(path)
-    assert robot.links[0].mesh is not None
-    assert "pip install 'h3data[collada]'" in caplog.text
-    with pytest.raises(H3DataError, match=r"h3data\[collada\]"):
-        load_plain(path)
-
-
 def test_too_many_links_are_refused_and_many_are_read(tmp_path: Path) -> None:
     body = "".join(f'<link name="{k}"/>' for k in range(10_001))
     with pytest.raises(FormatError, match="at most 10000 links, got 10001"):
