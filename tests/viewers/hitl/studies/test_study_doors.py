@@ -49,7 +49,8 @@ class Study:
         self.stack, self.link = stack, ""
 
     async def browser(self, address: str = "1.1.1.1") -> Participant:
-        person = await self.stack.enter_async_context(Participant(self.link))
+        person = Participant(self.link)
+        await self.stack.enter_async_context(person)
         person.http.headers["X-Forwarded-For"] = address
         return person
 
