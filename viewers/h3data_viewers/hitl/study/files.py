@@ -16,6 +16,7 @@ from h3data_viewers.hitl.live import Table
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.study.design import Block, Condition, Consent, Design, Form, Place, StudyPlan, Text
 from h3data_viewers.hitl.study.forms import BUILTIN, resolved
+from h3data_viewers.hitl.study.pseudonyms import IDS
 from h3data_viewers.hitl.study.store import DATABASE, StudyStore
 from h3data_viewers.hitl.study.texts import ENGLISH
 from sim_kinematic.policies.learned import PREFIX as WEIGHTS
@@ -113,6 +114,7 @@ def _check(design: Design) -> None:
                 f"There is no text {unknown[0]!r} in [texts.{language}].{did_you_mean(unknown[0], ENGLISH)} Expected some of: "
                 f"{', '.join(ENGLISH)}."
             )
+    _check_patterns(design.recruiting.id_pattern)
     names = {c.name for c in design.conditions}
     forms = [resolved(_known(form)) for form in design.forms]
     for form in forms:
@@ -134,6 +136,23 @@ def _check(design: Design) -> None:
             raise InputError(f"A text is in the language {sorted(strange)[0]!r}, which languages does not name.")
         if isinstance(text, dict) and design.languages[0] not in text:
             raise InputError(f"A text lacks the study's first language, {design.languages[0]!r}: {text}")
+
+
+def with_id_pattern(design: Design, pattern: str | dict[str, str] | None) -> Design:
+    """The design with other formats of ids."""
+    recruiting = msgspec.structs.replace(design.recruiting, id_pattern=pattern)
+    return msgspec.structs.replace(design, recruiting=recruiting)
+
+
+def _check_patterns(given: str | dict[str, str] | None) -> None:
+    patterns = {"PROLIFIC_PID": given} if isinstance(given, str) else given or {}
+    for name, pattern in patterns.items():
+        if name not in IDS:
+            raise InputError(f"Unknown id {name!r} in id_pattern.{did_you_mean(name, IDS)} Expected: {', '.join(IDS)}.")
+        try:
+            re.compile(pattern)
+        except re.error as fault:
+            raise InputError(f"The id_pattern of {name} is not a regular expression ({fault}): {pattern!r}.") from None
 
 
 def _known(form: Form) -> Form:
