@@ -350,6 +350,18 @@ def test_a_study_gives_estimated_means_and_contrasts(tmp_path: Path) -> None:
     assert "rearrange" not in {t.key for t in report.tables}, "people are no population"
 
 
+def test_rates_of_people_who_always_answer_alike_are_plain_shares(tmp_path: Path) -> None:
+    """Six of nine people touch the robot in every episode, the others in none."""
+    episodes = [
+        tidy(20 + k, condition=condition, participant=f"P{p}", hit=p < 6, solved=p >= 6)
+        for condition in ("complement", "plan_pop3") for p in range(9) for k in range(3)
+    ]  # fmt: skip
+    report = make_report([write(tmp_path / "ds", episodes)], pictures=0)
+    study = next(t for t in report.tables if t.key == "hitl")
+    assert [row.cells[0].text for row in study.sections[0].rows] == ["0.67 [0.48, 0.81]"] * 2
+    assert any("CR: plain shares" in note and "always alike" in note for note in study.notes)
+
+
 def dispersed_study(*, task: str = "rearrange") -> list[Recording]:
     """Steps that vary much more than Poisson allows, with every third robot episode ended by a contact at step 5."""
     random = np.random.default_rng(5)
