@@ -428,6 +428,12 @@ def test_automatic_and_human_orders_stand_beside_each_other(tmp_path: Path) -> N
     rows = {row.name: row.cells for row in ranks.sections[0].rows}
     assert rows["TS"][0].value == rows["RE"][1].value == 1
     assert rows["RE"][2].text.startswith("learn_single")
+    means = {c: steps + 2.5 for c, steps in {"solo": 90, "learn_single": 50, "plan_pop3": 70}.items()}
+    of_people = dict(part.rsplit(" ", 1) for part in rows["RE"][3].text.split(", "))
+    measured = next(e.metrics.values["TS"] - 50 for e in report.data.episodes if e.condition == "learn_single")
+    for name in ("learn_single", "plan_pop3"):
+        want = 100 * (means["solo"] + measured) / (means[name] + measured)
+        assert float(of_people[name]) == pytest.approx(want, abs=0.02), "RE, no steps"
     assert "Automatic and human evaluation" in report.html
     assert "ranks_rearrange" not in {t.key for t in make_report([people], pictures=0).tables}
 
