@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import posixpath
+import re
 import secrets
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from h3data.errors import InputError
 
@@ -16,6 +18,21 @@ from h3data.errors import InputError
 def size_text(count: int) -> str:
     """A number of bytes for people: ``1.2 MB``, ``3.4 kB``."""
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
+
+
+_FORMULA = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r\n]")
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|[+-]?(inf|nan)")
+
+
+def spreadsheet_cell(value: Any) -> Any:
+    """A cell of a CSV file that no spreadsheet runs as a formula.
+
+    Text that begins with ``=``, ``+``, ``-``, ``@`` (full-width ones too), blanks before them included, with a tab or a line
+    break gets an apostrophe before it; numbers, as text or not, and all other text stay as they are (OWASP, "CSV Injection").
+    """
+    if not isinstance(value, str) or not _FORMULA.match(value) or _NUMBER.fullmatch(value):
+        return value
+    return f"'{value}"
 
 
 def path_inside(name: str) -> str | None:

@@ -58,7 +58,7 @@ class StudyBots:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        from h3data_viewers.hitl.study.files import make_plan, read_design, study_folder, with_id_pattern
+        from h3data_viewers.hitl.study.files import bots_folder, make_plan, read_design, study_folder, with_id_pattern
         from h3data_viewers.hitl.study.pseudonyms import ANY
 
         require_aiohttp("h3data study bots")
@@ -77,8 +77,7 @@ class StudyBots:
             folder = None
             asyncio.run(crowd.take_part(self.link.rstrip("/") + "/", episodes))
         else:
-            folder = study_folder(self.study, design)
-            folder = folder.with_name(folder.name + "-bots")
+            folder = bots_folder(study_folder(self.study, design))
             with running(folder), keeping(lambda: f"everything in {folder}; the same command goes on with it"):
                 design = keep_design(folder, with_id_pattern(design, ANY))
                 plan = make_plan(design, folder, speed=self.speed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -20,7 +21,7 @@ from h3data_viewers.hitl.study.pseudonyms import IDS
 from h3data_viewers.hitl.study.store import DATABASE, StudyStore
 from h3data_viewers.hitl.study.texts import ENGLISH
 from sim_kinematic.policies.learned import PREFIX as WEIGHTS
-from sim_kinematic.policies.learned import is_learned, stamped
+from sim_kinematic.policies.learned import stamped
 
 DESIGN_FILE = "design.json"
 """In the folder of a study: what its file said when the first participant came."""
@@ -87,12 +88,23 @@ def _with_consent(design: Design, path: Path) -> Design:
 
 def _with_weights(design: Design, path: Path) -> Design:
     """Files of weights, named from the study file's folder, with their digest: other weights are another study."""
-    conditions = []
+    base, conditions = path.parent.resolve(), []
     for condition in design.conditions:
-        if condition.partner is not None and is_learned(condition.partner):
-            file = path.parent.resolve() / condition.partner.removeprefix(WEIGHTS)
+        if condition.partner is not None and condition.partner.startswith(WEIGHTS):
+            file = base / Path(condition.partner.removeprefix(WEIGHTS)).expanduser()
             condition = msgspec.structs.replace(condition, partner=stamped(f"{WEIGHTS}{file}"))
         conditions.append(condition)
+    return _with_relative(msgspec.structs.replace(design, conditions=conditions), base)
+
+
+def _with_relative(design: Design, base: Path) -> Design:
+    """Files of weights by their way from the study file's folder: a path of this machine is nobody else's business."""
+    conditions = [
+        msgspec.structs.replace(c, partner=WEIGHTS + os.path.relpath(c.partner.removeprefix(WEIGHTS), base))
+        if c.partner is not None and c.partner.startswith(f"{WEIGHTS}/")
+        else c
+        for c in design.conditions
+    ]
     return msgspec.structs.replace(design, conditions=conditions)
 
 
@@ -185,6 +197,11 @@ def study_folder(path: Path, design: Design) -> Path:
     return path.parent / f"{design.name}-{design.version}"
 
 
+def bots_folder(folder: Path) -> Path:
+    """Where scripted participants leave what would lie in a study's ``folder``."""
+    return folder.with_name(folder.name + "-bots")
+
+
 def deal(design: Design) -> tuple[Place, ...]:
     """Deals conditions, scenes and episodes to all participants.
 
@@ -225,6 +242,7 @@ def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
             plan = PlayPlan(
                 app=condition.app, out=str(folder.resolve()), seats=(condition.play_as,), partner=condition.partner,
                 scenes=scene, seed=design.seed, speed=speed, rules=condition.rules,
+                weights_in=str(folder.resolve().parent),
             )  # fmt: skip
             if not any(key.startswith(f"{name}|") for key in numbers):
                 _check_playable(name, plan)
@@ -258,12 +276,14 @@ def _tutorial(design: Design) -> Condition:
 
 
 def open_study(path: Path) -> tuple[Path, Design]:
-    """Folder and design of a study that has begun, from its file or its folder.
+    """Folder and design of a study that has begun, from its file or its folder; of one that only bots have played, theirs.
 
     Raises:
         InputError: there is none, or nobody has begun it.
     """
     folder = path if path.is_dir() else study_folder(path, read_design(path))
+    if not (folder / DESIGN_FILE).is_file() and (bots_folder(folder) / DESIGN_FILE).is_file():
+        folder = bots_folder(folder)
     try:
         design = msgspec.json.decode((folder / DESIGN_FILE).read_bytes(), type=Design)
     except FileNotFoundError:
@@ -275,7 +295,7 @@ def open_study(path: Path) -> tuple[Path, Design]:
         raise InputError(
             f"The study's {DESIGN_FILE} is damaged or of another version: {fault}. Folder: {folder}"
         ) from None
-    return folder, design
+    return folder, _with_relative(design, folder.resolve().parent)  # versions before 0.3 kept the whole path
 
 
 def open_store(folder: Path, design: Design, *, read_only: bool = True) -> StudyStore:
@@ -285,5 +305,7 @@ def open_store(folder: Path, design: Design, *, read_only: bool = True) -> Study
         InputError: nobody has taken part.
     """
     if not (folder / DATABASE).is_file():
-        raise InputError(f"Nobody has taken part in this study yet: {folder}. Hint: h3data study run begins it.")
+        bots = bots_folder(folder)
+        hint = f"bots have: {bots}" if (bots / DATABASE).is_file() else "h3data study run begins it."
+        raise InputError(f"Nobody has taken part in this study yet: {folder}. Hint: {hint}")
     return StudyStore(design, deal(design), folder, read_only=read_only)
