@@ -17,6 +17,7 @@ from h3data.exporters import camera_videos, lerobot_export
 from h3data.exporters.camera_videos import render_videos
 from h3data.formats import ExportRequest
 from h3data.recording import Dataset, Recording, write_mcap
+from h3data.recording.parquet.lerobot import rebuild_meta
 from h3data.replay import Replay, camera_track
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
@@ -247,3 +248,12 @@ def test_light_of_exports_has_another_name_now(tmp_path: Path, caplog: pytest.Lo
     light = h3data.export(tmp_path / "a.mcap", tmp_path / "light.glb", to="gltf", light=True)
     assert "--person-detail low" in caplog.text
     assert low.read_bytes() == light.read_bytes()
+
+
+def test_exports_name_the_numbers_of_actions_and_states(tmp_path: Path) -> None:
+    lerobot_export.write_lerobot([_short(4)], tmp_path / "ds")
+    for again in (False, True):
+        features = json.loads((tmp_path / "ds/meta/info.json").read_text())["features"]
+        for name in ("action", "observation.state"):
+            assert len(features[name]["names"]) == features[name]["shape"][0], again
+        rebuild_meta(tmp_path / "ds")  # from the schema alone
