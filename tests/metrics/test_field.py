@@ -195,11 +195,14 @@ def test_several_people_and_other_goals_have_no_numbers_of_a_wrong_pair():
     )
     measured = measure(crowd, "field")
     for name in (*NEAR, *GOAL):
-        assert np.isnan(measured.values[name]) and "several people (2)" in measured.notes[name], name
-    assert measured.values["PL"] == 0.0 and np.isnan(field_series(crowd)["dist_m"]).all()
+        assert np.isnan(measured.values[name]), name
+        assert "several people (2)" in measured.notes[name], name
+    assert measured.values["PL"] == 0.0
+    assert np.isnan(field_series(crowd)["dist_m"]).all()
     point_goal = replace(alone, episode=replace(alone.episode, task="point_goal"))
     measured = measure(point_goal, "field")
     for name in GOAL:
-        assert np.isnan(measured.values[name]) and "'point_goal'" in measured.notes[name], name
+        assert np.isnan(measured.values[name]), name
+        assert "'point_goal'" in measured.notes[name], name
     assert measured.values["D_min"] == measure(alone, "field").values["D_min"]
     assert not field_series(point_goal)["goal"].any()
