@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from h3data.geometry import ground_pose
 from h3data.metrics import measure, metrics_of, series_of
 from h3data.metrics.field import with_clearance
-from h3data.metrics.field.profile import time_to_collision
+from h3data.metrics.field.profile import GOAL, NEAR, field_series, time_to_collision
 from h3data.recording.records import Agent, Episode, Recording
 
 SECOND = 1_000_000_000
@@ -182,3 +183,26 @@ def test_series_have_a_row_each():
     assert {len(v) for v in series_of(recording, "field").values()} == {7}
     named = {name for m in metrics_of("field") for name in m.series} - {"clearance_m"}
     assert named <= set(series_of(recording, "field"))
+
+
+def test_several_people_and_other_goals_have_no_numbers_of_a_wrong_pair():
+    robot, near, far = np.zeros((4, 2)), np.full((4, 2), 0.4), np.full((4, 2), 5.0)
+    alone = floor(robot, far)
+    crowd = replace(
+        alone,
+        agents=(*alone.agents, Agent(name="human_2", kind="human")),
+        columns={**alone.columns, "agent_2.base_pose": floor(robot, near).columns["agent_1.base_pose"]},
+    )
+    measured = measure(crowd, "field")
+    for name in (*NEAR, *GOAL):
+        assert np.isnan(measured.values[name]), name
+        assert "several people (2)" in measured.notes[name], name
+    assert measured.values["PL"] == 0.0
+    assert np.isnan(field_series(crowd)["dist_m"]).all()
+    point_goal = replace(alone, episode=replace(alone.episode, task="point_goal"))
+    measured = measure(point_goal, "field")
+    for name in GOAL:
+        assert np.isnan(measured.values[name]), name
+        assert "'point_goal'" in measured.notes[name], name
+    assert measured.values["D_min"] == measure(alone, "field").values["D_min"]
+    assert not field_series(point_goal)["goal"].any()

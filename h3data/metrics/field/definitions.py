@@ -21,8 +21,8 @@ GOAL_M = 2.0
 
 _ROBOT, _HUMAN = "agent_<robot>.base_pose", "agent_<human>.base_pose"
 _PAIR, _TIMED = (_ROBOT, _HUMAN), ("time_ns", _ROBOT)
-_NO_PAIR = "No row has a pose of both agents."
-_UNREACHABLE = _NO_PAIR + " Or the human cannot be reached in row 0."
+_NO_PAIR = "No row has a pose of both agents, or there are several people."
+_UNREACHABLE = _NO_PAIR + " Or the human cannot be reached in row 0, or is not the goal (tasks other than social_nav)."
 _TWO, _THREE, _FOUR = (f"Fewer than {n} rows with a pose." for n in ("two", "three consecutive", "four consecutive"))
 _FRANCIS = "Francis et al. 2025, Principles and Guidelines for Evaluating Social Robot Navigation"
 _HALL = "E. T. Hall 1966; as share of time in HuNavSim"
@@ -173,7 +173,7 @@ FIELD_METRICS: tuple[Metric, ...] = (
         "Time to goal",
         "time of the first goal row - time of row 0",
         unit="s",
-        undefined="The goal is never reached.",
+        undefined="The goal is never reached, is not the person (tasks other than social_nav), or there are several people.",
     ),
     _motion(
         "T_stalled",

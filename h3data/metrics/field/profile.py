@@ -38,6 +38,12 @@ if TYPE_CHECKING:
     from h3data.scene import FreeSpace
 
 CLEARANCE, GEODESIC = "metrics.robot_clearance", "metrics.geodesic_agents"
+NEAR = tuple(metric.name for metric in FIELD_METRICS if "/proxemics/" in metric.id)
+"""Metrics of the distance to the one person."""
+GOAL = ("SPL", "STL", "T_goal")
+"""Metrics of reaching the person."""
+PERSON_IS_GOAL = "social_nav"
+"""The task whose goal is the person."""
 
 
 def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
@@ -64,11 +70,18 @@ def compute_field(recording: Recording, notes: Notes) -> Computed:
     first, second = recording.agents[robot], recording.agents[human]
     if first.kind == second.kind:
         notes.add(names, f"'robot' is {first.name} ({first.kind}), 'human' is {second.name} ({second.kind})")
+    several, no_goal = _several(recording), _no_person_as_goal(recording)
+    if several:
+        notes.add(NEAR, several)
+    if several or no_goal:
+        notes.add(GOAL, no_goal or several)
     if not len(recording):
         notes.add(names, "the recording has no rows")
         return Computed(values={}, robot=robot, human=human)
     series = field_series(recording)
-    values = _proxemics(series) | _motion(series, recording) | _goal(series, recording, notes)
+    values = _proxemics(series) | _motion(series, recording)
+    if not (several or no_goal):
+        values |= _goal(series, recording, notes)
     for metric in FIELD_METRICS:
         if np.isnan(values.get(metric.name, NAN)) and metric.name not in notes.lines:
             notes.add([metric.name], metric.undefined[:1].lower() + metric.undefined[1:].rstrip("."))
@@ -77,12 +90,34 @@ def compute_field(recording: Recording, notes: Notes) -> Computed:
     return Computed(values=values, robot=robot, human=human, moments=moments)
 
 
+def _several(recording: Recording) -> str:
+    """Why no other agent is the one that the robot is near; empty if there is one."""
+    robot, human = find_pair(recording)
+    kind = recording.agents[human].kind
+    count = sum(agent.kind == kind for number, agent in enumerate(recording.agents) if number != robot)
+    what = "people" if kind == "human" else "others"
+    return f"undefined with several {what} ({count}): it is defined for one" if count > 1 else ""
+
+
+def _no_person_as_goal(recording: Recording) -> str:
+    """Why the person is not the robot's goal; empty if they are."""
+    task = recording.episode.task
+    return "" if task == PERSON_IS_GOAL else f"undefined in the task {task!r}: its goal is not the person"
+
+
 def field_series(recording: Recording) -> Series:
-    """Computes the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0."""
+    """Computes the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0.
+
+    Beside several people distances to one of them are NaN, and no row has a flag of a zone. ``goal`` holds nowhere where
+    the person is not the goal.
+    """
     robot, human = find_pair(recording)
     pose = recording.agent_column(robot, "base_pose").astype(np.float64)
     at = pose[:, [0, 2]]
     other = recording.agent_column(human, "base_pose")
+    several = bool(_several(recording))
+    if several:
+        other = np.full_like(other, np.nan)
     towards = other[:, [0, 2]].astype(np.float64) - at
     seconds = recording.columns["time_ns"] * 1e-9
     distance = np.linalg.norm(towards, axis=1)
@@ -94,7 +129,7 @@ def field_series(recording: Recording) -> Series:
     turn[1:] = wrap_angle(np.diff(heading))
     with np.errstate(invalid="ignore", divide="ignore"):
         turning = np.abs(turn) / np.diff(seconds, prepend=np.nan)
-    reach = recording.columns.get(GEODESIC, distance).astype(np.float64)
+    reach = distance if several else recording.columns.get(GEODESIC, distance).astype(np.float64)
     series = {
         "dist_m": distance,
         "reach_m": reach,
@@ -112,6 +147,8 @@ def field_series(recording: Recording) -> Series:
         "stalled": (speed < STALLED_M_S) & (turning < STALLED_RAD_S),
         "goal": found_series(recording.agent_column(robot, "base_pose"), other, reach)["found"],
     }
+    if _no_person_as_goal(recording):
+        series["goal"] = np.zeros(len(at), np.bool_)
     if CLEARANCE in recording.columns:
         series["clearance_m"] = recording.columns[CLEARANCE].astype(np.float64)
     return series
