@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -101,7 +101,7 @@ class DatasetSchema:
     def to_json(self) -> bytes:
         """Contents of ``h3/schema.json``."""
         columns = [{"name": c.name, "dtype": c.dtype, "shape": list(c.shape)} for c in self.columns]
-        values = {"schema_version": self.version, "layout_hash": layout_hash(self.columns)}
+        values: dict[str, Any] = {"schema_version": self.version, "layout_hash": layout_hash(self.columns)}
         values |= {"fps": self.fps, "robot_type": self.robot_type, "conventions": CONVENTIONS, "columns": columns}
         if self.videos:
             values["videos"] = [asdict(video) for video in self.videos]
