@@ -25,6 +25,7 @@ from h3data.recording import DatasetWriter, Recording, open_recording
 from h3data.recording.records import STEP_NS, Agent, Episode
 from h3data_pipelines.cli import main
 from h3data_pipelines.execution.shards import LostShardError
+from h3data_training.curve import save_curve
 from h3data_viewers.html_report.report import Report, make_report
 from h3data_viewers.html_report.report_data import gather, same_episodes
 from h3data_viewers.html_report.report_paper import social_nav_table
@@ -455,6 +456,23 @@ def test_learning_curves_of_a_log(runs: dict[str, Path], tmp_path: Path) -> None
     (ds / "learning.csv").write_text("update,reward\n0,1\n")
     with pytest.raises(InputError, match="one of them step"):
         make_report([ds], pictures=0)
+
+
+def test_learning_curves_of_training_runs(runs: dict[str, Path], tmp_path: Path) -> None:
+    """The table that `h3data train` writes, alone and beside a dataset."""
+    run = tmp_path / "nav"
+    run.mkdir()
+    save_curve([{"update": k, "decisions": 1000 * k, "reward": float(k), "kl": 0.01 * k} for k in range(5)], run)
+    alone = make_report([run], pictures=0)
+    assert alone.data.curves["nav"]["step"].tolist() == [0, 1000, 2000, 3000, 4000]
+    assert 'id="learning"' in alone.html
+    assert "Learning curve of reward" in alone.html
+    together = make_report([runs["stand_still"], run], pictures=0)
+    assert len(together.data.runs) == 1
+    assert "Learning curve of reward" in together.html
+    (run / "curve.parquet").write_bytes(b"PAR1")
+    with pytest.raises(InputError, match="decisions"):
+        make_report([run], pictures=0)
 
 
 def test_recordings_that_cannot_be_measured_are_counted(runs: dict[str, Path], tmp_path: Path) -> None:

@@ -33,12 +33,14 @@ class ReportCommand:
 
     It shows distributions, trajectories, paired differences, and the best and worst episodes.
     Each input is a dataset, a folder of .mcap files or a single .mcap file. Episodes are grouped by policy; runs over the
-    same episodes are compared episode by episode. A file learning.csv in a dataset adds learning curves.
+    same episodes are compared episode by episode. The folder of a run of h3data train adds its learning
+    curves, and so does a file learning.csv in a dataset.
 
     Examples:
         h3data report ds/ -o report.html
         h3data report expert/ random/ still/ -o report.html --latex tables.tex
         h3data report ds/ -o report.html --replays
+        h3data report out/nav -o training.html
         h3data report ds/ --markdown tables.md --pictures 0
         h3data report out/zsc --zsc plan_pop_1 --zsc plan_pop_2
         h3data report study/ --study-model observation --failed limit

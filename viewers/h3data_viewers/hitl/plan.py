@@ -7,8 +7,6 @@ from typing import Any
 
 import msgspec
 
-from sim_kinematic.policies.learned import PREFIX as WEIGHTS
-
 SEATS = ("person", "robot", "spectator")
 """What somebody can sit down as."""
 VERSION = 1
@@ -41,6 +39,8 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def partner_here(self) -> str | None:
         """`partner`, a file of weights by its path on this machine."""
+        from sim_kinematic.policies.learned import PREFIX as WEIGHTS  # the server's process imports no simulator
+
         if self.partner is None or not self.weights_in or not self.partner.startswith(WEIGHTS):
             return self.partner
         return f"{WEIGHTS}{Path(self.weights_in, self.partner.removeprefix(WEIGHTS))}"

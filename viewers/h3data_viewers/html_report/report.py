@@ -29,7 +29,7 @@ from h3data_viewers.html_report.report_charts import (
     legend,
     time_charts,
 )
-from h3data_viewers.html_report.report_data import CURVES_FILE, ReportData, Run, gather
+from h3data_viewers.html_report.report_data import CURVES_FILE, RUN_CURVES_FILE, ReportData, Run, gather
 from h3data_viewers.html_report.report_paper import (
     paired_tables,
     partner_tables,
@@ -137,7 +137,7 @@ def make_report(
         panels = learning_charts(data.curves)
         body.append(_section("learning", "Learning curves", legend(list(data.curves)) + _panels(panels)))
     else:
-        missing.append(f"Learning curves: no dataset holds a file {CURVES_FILE}.")
+        missing.append(f"Learning curves: no folder holds {RUN_CURVES_FILE} (of h3data train) or {CURVES_FILE}.")
     body.append(_section("episodes", "All episodes", episode_list(data)))
     body.append(_section("methods", "What the numbers mean", meanings(data)))
     head = beginning(title, data, missing, [(key, name) for key, name, _ in body], folder)

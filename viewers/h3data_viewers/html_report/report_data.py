@@ -38,6 +38,8 @@ _FIRST = ("social_nav", "rearrange")
 """Tasks that a report begins with."""
 CURVES_FILE = "learning.csv"
 """In a dataset's folder: how its policy was trained. One row per logged update, a column ``step``."""
+RUN_CURVES_FILE = "curve.parquet"
+"""The same in the folder of a run of ``h3data train``, with a column ``decisions``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +105,8 @@ def gather(
         raise InputError(f"Named twice, so its episodes would count twice: {twice[0]}")
     gathered = _Gathered()
     gathered.add(roots, spread)
-    if not gathered.count:
+    curves = {root.name: curve for root in roots if (curve := read_curves(root))}
+    if not gathered.count and not curves:
         raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.")
     if zsc := zsc or evaluated_zsc(roots):
         gathered.name_population(zsc)
@@ -111,7 +114,7 @@ def gather(
         paths=roots,
         runs=_runs(gathered.grouped, gathered.profiles, roots),
         unmeasured={reason: tuple(names) for reason, names in gathered.unmeasured.items()},
-        curves={root.name: curve for root in roots if (curve := read_curves(root / CURVES_FILE))},
+        curves=curves,
     )
 
 
@@ -137,6 +140,8 @@ class _Gathered:
                     self._note_evaluated(place, episode)
                     self._group(place, root, episode, profile)
                 continue
+            if (root / RUN_CURVES_FILE).is_file():
+                continue  # a run of training, which holds no recordings
             of_root = parts_of(list(find_sources([root])))
             parts += of_root
             places += [place] * len(of_root)
@@ -224,27 +229,39 @@ def read_whole(episode: ReportEpisode) -> Recording:
     return opened if isinstance(opened, Recording) else opened.recording(episode.index)
 
 
-def read_curves(path: Path) -> dict[str, NDArray[np.float64]]:
-    """Numeric columns [N] of a training log; empty if there is no such file or nothing that could be drawn."""
-    import pyarrow as pa
-    from pyarrow import csv
+def read_curves(folder: Path) -> dict[str, NDArray[np.float64]]:
+    """Read the numeric columns [N] of the training log in a folder, with ``step`` among them.
 
-    if not path.is_file():
+    Returns:
+        Columns by name; empty if the folder holds neither `CURVES_FILE` nor `RUN_CURVES_FILE`.
+
+    Raises:
+        InputError: the file is no table of numbers, or has no column of steps.
+    """
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    log, run = ((folder / name).absolute() for name in (CURVES_FILE, RUN_CURVES_FILE))  # relative, a colon makes a URI
+    if log.is_file():
+        path, read, steps = log, csv.read_csv, "step"
+    elif run.is_file():
+        path, read, steps = run, parquet.read_table, "decisions"
+    else:
         return {}
     try:
-        table = csv.read_csv(path)
+        table = read(path)
     except (pa.ArrowException, OSError) as error:
-        raise InputError(f"Expected a table of numbers with a column step ({error}): {path}") from error
+        raise InputError(f"Expected a table of numbers with a column {steps} ({error}): {path}") from error
     numeric = {
         name: np.asarray(table[name].to_numpy(), np.float64)
         for name in table.column_names
         if pa.types.is_integer(table[name].type) or pa.types.is_floating(table[name].type)
     }
-    if "step" not in numeric or len(numeric) < 2:
+    if steps not in numeric or len(numeric) < 2:
         raise InputError(
-            f"Expected columns of numbers, one of them step; got {', '.join(map(repr, table.column_names))}: {path}"
+            f"Expected columns of numbers, one of them {steps}; got {', '.join(map(repr, table.column_names))}: {path}"
         )
-    return numeric
+    return {"step": numeric.pop(steps), **numeric}
 
 
 # --- inside -----------------------------------------------------------------------------------------------------------
