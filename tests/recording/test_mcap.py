@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 from h3data.errors import FormatError, InputError
 from h3data.recording import (
@@ -130,10 +130,10 @@ def test_only_the_wanted_columns(tmp_path):
 
 
 # --- messages of other writers -----------------------------------------------------------------------------------------
-def rewritten(data: bytes, edit, *, extra=None, schema=lambda text: text) -> bytes:
+def rewritten(data: bytes, edit, *, extra=None, schema=lambda text: text, **options) -> bytes:
     """The log with every message passed through ``edit(topic, decoded) -> bytes``, written by mcap alone."""
     out, reader = io.BytesIO(), make_reader(io.BytesIO(data))
-    writer = Writer(out)
+    writer = Writer(out, **options)
     writer.start(profile="h3data")
     ids: dict[int, int] = {}
     for of, channel, message in reader.iter_messages(log_time_order=False):
@@ -165,6 +165,23 @@ def test_messages_without_zeros_take_the_slow_path(tmp_path):
         rewritten(write_mcap(rec, tmp_path / "b.mcap").read_bytes(), lambda _, m: m.SerializeToString())
     )
     assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_logs_of_any_compression_are_read(tmp_path, compression):
+    """Other tools write a log anew with their own defaults, e.g. lz4."""
+    rec = simple_recording(steps=9)
+    data = rewritten(
+        write_mcap(rec, tmp_path / "b.mcap").read_bytes(),
+        lambda _, m: m.SerializeToString(),
+        compression=compression,
+        chunk_size=2000,
+    )
+    (tmp_path / "a.mcap").write_bytes(data)
+    assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+    saved = recover_mcap(tmp_path / "cut.mcap", tmp_path / "saved.mcap")
+    assert 0 < saved.steps <= len(rec)
 
 
 def test_metrics_on_a_topic_of_their_own_are_read(tmp_path, monkeypatch):

@@ -161,10 +161,16 @@ def decompress(body: memoryview) -> bytes:
         if claimed not in (-1, chunk.uncompressed_size):
             raise ValueError("a chunk's sizes contradict each other")
         data = zstandard.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+    elif chunk.compression == "lz4":
+        import lz4.frame
+
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size)
+        if len(data) != chunk.uncompressed_size:
+            raise ValueError(f"a chunk has {len(data)} bytes, it claims {chunk.uncompressed_size}")
     elif chunk.compression == "":
         data = chunk.data
     else:
-        raise ValueError(f"chunk compression {chunk.compression!r} is not supported (zstd is)")
+        raise ValueError(f"chunk compression {chunk.compression!r} is not supported (zstd and lz4 are)")
     check_crc(chunk.uncompressed_crc, memoryview(data), "chunk")
     return data
 
@@ -182,6 +188,10 @@ def take_beginning(log: McapRecords, body: memoryview) -> None:
     if name == b"zstd":
         with zstandard.ZstdDecompressor().stream_reader(data) as reader:
             data = reader.read(min(size, _LARGEST_CHUNK))
+    elif name == b"lz4":
+        import lz4.frame
+
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=min(size, _LARGEST_CHUNK))
     elif name:
         return
     _take_chunk(log, data, whole=False)
