@@ -45,6 +45,8 @@ _KNOWN_EXTENSIONS = {
 """Extensions that are read or do not change the picture. Quantised vertices are plain accessors of integers."""
 _ONLY_PAINT = re.compile(r"^[A-Z]+_(materials|texture|lights|image|xmp|animation)(_|$)")
 """Extensions that change no triangle, by their names: files that require them are read without them."""
+_SHOWN_WHOLE = {"MAGNUMX_mesh_views"}
+"""Extensions of Habitat's batch files, which cut one mesh into several: it is shown whole, with a warning."""
 
 
 class GltfFile:
@@ -299,7 +301,7 @@ def _check_extensions(required: Any, path: Path) -> None:
         raise SceneError(
             f"its triangles are compressed ({packed[0]}), which is not read. Hint: gltfpack -noq -i IN -o OUT.glb"
         )
-    shapes = [name for name in unknown if not _ONLY_PAINT.match(name)]
+    shapes = [name for name in unknown if name not in _SHOWN_WHOLE and not _ONLY_PAINT.match(name)]
     if shapes:
         raise SceneError(
             f"it requires the glTF extension {', '.join(shapes)}, which is not read. Hint: export it without this extension"
