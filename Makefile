@@ -48,7 +48,7 @@ test-ray: setup  ## jobs on a Ray cluster of four nodes on this machine, some of
 	$(PYTEST) -m slow -rs tests/pipelines/test_ray.py
 
 LOWEST := .venv-lowest
-LOWEST_EXTRAS := gltf collada env rays robomimic foxglove hitl sql hub frames notebook
+LOWEST_EXTRAS := gltf env rays robomimic foxglove hitl sql hub frames notebook
 LOWEST_TESTS := tests/recording tests/mesh tests/scene tests/stats tests/export tests/metrics tests/bodies/robots tests/sim/envs \
 	tests/pipelines/test_parsing.py tests/pipelines/test_sql.py tests/pipelines/test_sync.py tests/viewers/test_rerun_view.py
 test-lowest:  ## the oldest versions that pyproject.toml allows, of all but torch (constraints.txt); an environment of its own
@@ -90,7 +90,7 @@ check-lerobot: setup  ## datasets and exports open with lerobot's own loader, do
 GLTF := out/gltf
 check-gltf: setup  ## exported animations and scenes pass the Khronos validator (needs npm)
 	$(BIN)/h3data generate social_nav --episodes 1 --seed 5 --force -o $(GLTF)/ds
-	$(BIN)/h3data export $(GLTF)/ds#0 --to gltf --light --force -o $(GLTF)/episode.glb
+	$(BIN)/h3data export $(GLTF)/ds#0 --to gltf --person-detail low --force -o $(GLTF)/episode.glb
 	$(BIN)/h3data scenes export small:0 --force -o $(GLTF)/scene
 	npm install --silent --no-save --prefix $(GLTF) gltf-validator@2.0.0-dev.3.10
 	NODE_PATH=$(GLTF)/node_modules node tests/export/gltf_validator/validate.js $(GLTF)/episode.glb `find $(GLTF)/scene -name '*.glb'`

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import posixpath
+import re
 import secrets
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from h3data.errors import InputError
 
@@ -16,6 +18,21 @@ from h3data.errors import InputError
 def size_text(count: int) -> str:
     """A number of bytes for people: ``1.2 MB``, ``3.4 kB``."""
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
+
+
+_FORMULA = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r\n]")
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|[+-]?(inf|nan)")
+
+
+def spreadsheet_cell(value: Any) -> Any:
+    """A cell of a CSV file that no spreadsheet runs as a formula.
+
+    Text that begins with ``=``, ``+``, ``-``, ``@`` (full-width ones too), blanks before them included, with a tab or a line
+    break gets an apostrophe before it; numbers, as text or not, and all other text stay as they are (OWASP, "CSV Injection").
+    """
+    if not isinstance(value, str) or not _FORMULA.match(value) or _NUMBER.fullmatch(value):
+        return value
+    return f"'{value}"
 
 
 def path_inside(name: str) -> str | None:
@@ -72,8 +89,9 @@ def part_file(
     """Yields a temporary path beside ``path``; renames it to ``path`` on success and removes it on any exception except
     those in ``kept_after``.
 
-    The temporary path is ``<path>.part``. With ``shared`` its name is unique, so that several processes may fill the same
-    cache entry at once; the last one to finish wins.
+    The temporary path is ``<path>.part``, absolute: libraries take a relative one such as ``walk:1.mp4`` for a URI. With
+    ``shared`` its name is unique, so that several processes may fill the same cache entry at once; the last one to finish
+    wins.
 
     Raises:
         InputError: the folder does not exist.
@@ -81,9 +99,10 @@ def part_file(
     final = Path(path)
     if not final.parent.is_dir():
         raise InputError(f"Cannot write here: the folder does not exist. Hint: create it first. Folder: {final.parent}")
-    part = final.with_name(final.name + ".part")
+    beside = final.absolute()
+    part = beside.with_name(final.name + ".part")
     if shared:  # not `tempfile.mkstemp`, whose files only their owner can read
-        part = final.with_name(f"{final.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
+        part = beside.with_name(f"{final.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
         yield part
         os.replace(part, final)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from h3data.errors import InputError
-from h3data.files import part_file
+from h3data.files import part_file, spreadsheet_cell
 
 
 @pytest.mark.parametrize("shared", [False, True])
@@ -45,3 +45,17 @@ def test_two_writers_of_a_shared_file_do_not_meet(tmp_path: Path):
 def test_a_missing_folder_is_named(tmp_path: Path):
     with pytest.raises(InputError, match=r"folder does not exist.*nowhere"), part_file(tmp_path / "nowhere" / "a"):
         pass
+
+
+@pytest.mark.parametrize(
+    "text", ["=1+1", "+1+1", "-2+3", "@SUM(A1)", "\tx", "\rx", "  =A1", "\uff1dA1", "-", "-1-1", "+49 30 1234", "\n=1"]
+)
+def test_no_spreadsheet_runs_a_cell(text: str):
+    assert spreadsheet_cell(text) == f"'{text}"
+
+
+@pytest.mark.parametrize(
+    "value", ["-1", "+2.5", "-1e-05", " -3 ", "-.5", "-inf", "a=b", "", "5", "Wir = eins", -3.5, 0, None, True]
+)
+def test_numbers_and_other_words_stay_as_they_are(value: object):
+    assert spreadsheet_cell(value) is value

@@ -37,7 +37,7 @@ def render_videos(
     threads: int = 1,
     assets: Sequence[Path] = (),
     people: PeopleStyle = "skin",
-    light: LightMode = "flat",
+    light: LightMode = "baked",
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda frames, total: frames,
 ) -> list[EpisodeVideo]:
     """Renders the first ``steps`` steps (default: all) from each camera into ``folder``, ``<camera>.mp4``.

@@ -12,7 +12,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from h3data.files import part_file, size_text
+from h3data.files import part_file, size_text, spreadsheet_cell
 from h3data.formats import Exported, ExportRequest
 from h3data.recording.records import JOINTS, Agent, Recording
 from h3data.recording.schema import episode_to_dict
@@ -49,15 +49,15 @@ def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
         for b in recording.bodies
     ]
     head = ["name", "asset", "layer", "semantic_id", "agent", "moving", *_POSE7, "scale_x", "scale_y", "scale_z"]
-    _table(folder / "bodies.csv", head, bodies)
+    _table(folder / "bodies.csv", head, _harmless(bodies))
     agents = [[i, a.name, a.kind, a.model, a.semantic_id] for i, a in enumerate(recording.agents)]
-    _table(folder / "agents.csv", ["agent", "name", "kind", "model", "semantic_id"], agents)
+    _table(folder / "agents.csv", ["agent", "name", "kind", "model", "semantic_id"], _harmless(agents))
     head = ["agent", "name", "target", "start_step", "end_step", "outcome", "reason"]
-    _table(folder / "skills.csv", head, [[getattr(s, name) for name in head] for s in recording.skills])
+    _table(folder / "skills.csv", head, _harmless([getattr(s, name) for name in head] for s in recording.skills))
     head = ["step", "agent", "kind", "target", "detail"]
-    _table(folder / "events.csv", head, [[getattr(e, name) for name in head] for e in recording.events])
+    _table(folder / "events.csv", head, _harmless([getattr(e, name) for name in head] for e in recording.events))
     head = ["time_ns", "user", "kind", "payload"]
-    _table(folder / "inputs.csv", head, [[getattr(i, name) for name in head] for i in recording.inputs])
+    _table(folder / "inputs.csv", head, _harmless([getattr(i, name) for name in head] for i in recording.inputs))
     with part_file(folder / "columns.npz") as part, part.open("wb") as stream:
         _npz(stream, recording)
     record = {
@@ -138,6 +138,11 @@ def _texts(values: np.ndarray) -> list[str]:
         return [str(v) for v in values.tolist()]
     texts = values.astype(str).tolist()
     return ["" if text == "nan" else text for text in texts]
+
+
+def _harmless(rows: Iterable[Sequence[Any]]) -> Iterable[list[Any]]:
+    """Rows with names and words of whoever made the recording: no spreadsheet runs them."""
+    return ([spreadsheet_cell(cell) for cell in row] for row in rows)
 
 
 def _table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

@@ -142,7 +142,7 @@ def export_gfx_replay(recordings: Iterable[Recording], request: ExportRequest) -
     )
     if has_own_meshes and not request.force and folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"The folder for assets is not empty. Use --force to overwrite, or another -o: {folder}")
-    replay = Replay(recording, assets=request.assets, people=request.people, detail=not request.light)
+    replay = Replay(recording, assets=request.assets, people=request.people, detail=request.person_detail == "full")
     files = write_gfx_replay(recording, posed_parts(replay), request.out, cameras=posed_cameras(replay))
     size = files.path.stat().st_size
     text = f"{files.path}: {files.keyframes} keyframes, {files.instances} instances, {size_text(size)}"

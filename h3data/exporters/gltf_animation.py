@@ -82,7 +82,7 @@ def write_gltf_animation(
 def export_gltf(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
     """Exports one recording for ``h3data export --to gltf``."""
     (recording,) = recordings
-    replay = Replay(recording, assets=request.assets, people=request.people, detail=not request.light)
+    replay = Replay(recording, assets=request.assets, people=request.people, detail=request.person_detail == "full")
     cameras, missing = posed_cameras(replay), sorted(replay.missing)
     file = write_gltf_animation(recording, posed_parts(replay), request.out, cameras=cameras)
     size = file.path.stat().st_size

@@ -16,7 +16,7 @@ from h3data.formats.detection import (
     json_format,
     load,
 )
-from h3data.formats.format import Exported, ExportRequest, Format
+from h3data.formats.format import Exported, ExportRequest, Format, PersonDetail
 from h3data.formats.source_file import SourceFile
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "ExportRequest",
     "Exported",
     "Format",
+    "PersonDetail",
     "SourceFile",
     "detect",
     "export_format",

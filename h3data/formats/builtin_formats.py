@@ -70,7 +70,7 @@ BUILT_IN = (
         read="h3data.habitat.gfx.gfx_replay:read_gfx_replay",
         read_options=("fps",),
         write="h3data.exporters.gfx_replay_export:export_gfx_replay",
-        write_options=("assets", "light", "people"),
+        write_options=("assets", "person_detail", "people"),
     ),
     Format(
         name="hitl_session",
@@ -174,7 +174,7 @@ BUILT_IN = (
         name="gltf",
         title="an animated glTF model",
         write="h3data.exporters.gltf_animation:export_gltf",
-        write_options=("assets", "light", "people"),
+        write_options=("assets", "person_detail", "people"),
     ),
     Format(
         name="foxglove",

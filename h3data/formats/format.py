@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+PersonDetail = Literal["full", "low"]
+
 Function = str | Callable[..., Any] | None
 """A function, or ``module:name`` of one that is imported at first use."""
 
@@ -41,7 +43,7 @@ class Format:
     write: Function = None
     """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
     `ExportRequest`; returns an `Exported`."""
-    write_options: tuple[Literal["agent", "assets", "light", "people", "camera"], ...] = ()
+    write_options: tuple[Literal["agent", "assets", "person_detail", "people", "camera"], ...] = ()
     """Options of `h3data export` that apply; the others are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
     """What is written. A dataset is a folder as in docs/format.md, which ``--force`` replaces."""
@@ -66,8 +68,8 @@ class ExportRequest:
     """The agent whose actions are exported (default: the first robot that acts)."""
     assets: Sequence[Path] = ()
     """Folders below which recorded asset files are searched."""
-    light: bool = False
-    """Whether to take meshes of people with fewer vertices."""
+    person_detail: PersonDetail = "full"
+    """Meshes of people: ``full``, or ``low`` for those with fewer vertices."""
     people: Any = "skin"
     """How people are shown, a `h3data.bodies.people.rigid_parts.PeopleStyle`."""
     cameras: Sequence[str] = ()

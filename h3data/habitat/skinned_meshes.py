@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from h3data.bodies.people.skinning import apply_skin, build_skin
 from h3data.geometry import Array
-from h3data.mesh.accessors import entry
 from h3data.mesh.gltf import GltfFile
 from h3data.mesh.loading import frame_rotation, load_mesh, unreadable
 from h3data.mesh.mesh import Mesh
@@ -80,7 +79,8 @@ def load_skinned_mesh(
 
 
 def _read(file: GltfFile, mesh: Mesh, linear: Array) -> SkinnedMesh | None:
-    skins = [_joints(file, index) for index in range(len(file.document.get("skins", [])))]
+    read = [file.skin(index) for index in range(len(file.document.get("skins", [])))]
+    skins = [([str(file.node(node).get("name", "")) for node in nodes], binds) for nodes, binds in read]
     starts = np.cumsum([0, *(len(names) for names, _ in skins)])
     loose = int(starts[-1])
     vertices, joints, weights = [], [], []
@@ -117,19 +117,3 @@ def _read(file: GltfFile, mesh: Mesh, linear: Array) -> SkinnedMesh | None:
         inverse_bind=np.concatenate([binds for _, binds in skins]),
         to_metres=to_metres,
     )
-
-
-def _joints(file: GltfFile, index: int) -> tuple[list[str], Array]:
-    """Joint names of a skin and its inverse bind matrices [J, 4, 4]."""
-    where = f"skins[{index}]"
-    skin = entry(file.document, "skins", index)
-    nodes = skin.get("joints")
-    if not isinstance(nodes, list) or not nodes:
-        raise ValueError(f"{where}.joints is not a list of nodes")
-    names = [str(file.node(node).get("name", "")) for node in nodes]
-    if "inverseBindMatrices" not in skin:
-        return names, np.broadcast_to(np.eye(4), (len(names), 4, 4))
-    values = file.arrays.floats(skin["inverseBindMatrices"]).astype(np.float64)
-    if values.shape != (len(names), 16) or not np.isfinite(values).all():
-        raise ValueError(f"{where}.inverseBindMatrices is not an accessor of {len(names)} MAT4")
-    return names, values.reshape(-1, 4, 4).swapaxes(1, 2)  # stored by columns

@@ -1,7 +1,8 @@
 """Reads glTF 2.0 files (GLB, or JSON with files beside it): buffers, node graph and primitives.
 
-Triangles, strips and fans are read. Triangles that repeat a corner, which strips contain by design, are dropped. Skins and
-morph targets keep their rest shape (`h3data.habitat.skinned_meshes` poses skins); points and lines are ignored.
+Triangles, strips and fans are read. Triangles that repeat a corner, which strips contain by design, are dropped. Skins stand
+as their joints do in the file (`h3data.habitat.skinned_meshes` poses them), morph targets have the weights of the file; points
+and lines are ignored.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from __future__ import annotations
 import base64
 import json
 import logging
+import re
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,6 +31,7 @@ from h3data.mesh.gltf_primitives import MAX_TRIANGLES, PlainMesh, has_positions,
 
 _log = logging.getLogger(__name__)
 _KNOWN_EXTENSIONS = {
+    "EXT_mesh_gpu_instancing",
     "EXT_meshopt_compression",
     "EXT_texture_webp",
     "KHR_draco_mesh_compression",
@@ -39,6 +43,8 @@ _KNOWN_EXTENSIONS = {
     "KHR_texture_transform",
 }
 """Extensions that are read or do not change the picture. Quantised vertices are plain accessors of integers."""
+_ONLY_PAINT = re.compile(r"^[A-Z]+_(materials|texture|lights|image|xmp|animation)(_|$)")
+"""Extensions that change no triangle, by their names: files that require them are read without them."""
 
 
 class GltfFile:
@@ -60,8 +66,9 @@ class GltfFile:
             raise SceneError(f"this is glTF {version}, {GLTF_1_HINT}")
         _check_extensions(self.document.get("extensionsRequired", []), path)
         self._buffers: dict[int, memoryview] = {}
-        self._meshes: dict[int, list[PlainMesh]] = {}
+        self._meshes: dict[tuple[int, tuple[float, ...]], list[PlainMesh]] = {}
         self._warned: set[tuple[int, int]] = set()
+        self._warned_of_skins = False
         self.arrays = GltfArrays(self.document, self._buffer)
         self.materials = GltfMaterials(self.arrays, self._resource, str(path))
 
@@ -119,23 +126,65 @@ class GltfFile:
         children = {child for node in nodes for child in node.get("children", [])}
         return [index for index in range(len(nodes)) if index not in children]
 
-    def _placed_meshes(self) -> list[tuple[int, NDArray[np.float64], object]]:
-        """Index, 4x4 matrix and skin of every mesh in the scene; a file without nodes shows each mesh once."""
+    def _placed_meshes(self) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
+        """Node and 4x4 matrix of every mesh and instance in the scene; a file without nodes shows each mesh once."""
         if not self.document.get("nodes"):
-            return [(index, np.eye(4), None) for index in range(len(self.document.get("meshes", [])))]
-        placed = [(self.node(index), matrix) for index, _, matrix in self.nodes]
-        return [(node["mesh"], matrix, node.get("skin")) for node, matrix in placed if node.get("mesh") is not None]
+            return [({"mesh": index}, np.eye(4)) for index in range(len(self.document.get("meshes", [])))]
+        placed = [(index, self.node(index), matrix) for index, _, matrix in self.nodes]
+        return [
+            (node, matrix @ instance)
+            for index, node, matrix in placed
+            if node.get("mesh") is not None
+            for instance in self.instances(index)
+        ]
+
+    def instances(self, index: int) -> NDArray[np.float64]:
+        """Matrices [N, 4, 4] in the node's frame at which it shows its mesh: one, if it is not instanced."""
+        where = f"nodes[{index}].extensions.EXT_mesh_gpu_instancing"
+        record = _part(_part(self.node(index), "extensions"), "EXT_mesh_gpu_instancing")
+        found = {
+            name: self.arrays.floats(accessor).astype(np.float64)
+            for name, accessor in _part(record, "attributes").items()
+            if name in ("TRANSLATION", "ROTATION", "SCALE")
+        }
+        if not found:
+            return np.eye(4)[None]
+        count = len(next(iter(found.values())))
+        matrices = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
+        for name, values in found.items():
+            width = 4 if name == "ROTATION" else 3
+            if values.shape != (count, width) or not np.isfinite(values).all():
+                raise ValueError(f"{where}.{name} is not an accessor of {count} VEC{width}")
+        if "ROTATION" in found:
+            matrices[:, :3, :3] = quat_to_matrix(normalized(found["ROTATION"]))
+        if "SCALE" in found:
+            matrices[:, :3, :3] *= found["SCALE"][:, None]
+        if "TRANSLATION" in found:
+            matrices[:, :3, 3] = found["TRANSLATION"]
+        return matrices
 
     def node(self, index: int) -> dict[str, Any]:
         """``nodes[index]``."""
         return entry(self.document, "nodes", index)
 
     # --- triangles ----------------------------------------------------------------------------------------------------
-    def mesh(self, index: int) -> list[PlainMesh]:
-        """Primitives of ``meshes[index]`` that have triangles, in the mesh's own frame; read once."""
-        if index not in self._meshes:
-            self._meshes[index] = [read_primitive(self.arrays, self.materials, *p) for p in self._primitives(index)]
-        return self._meshes[index]
+    def mesh(self, node: dict[str, Any]) -> list[PlainMesh]:
+        """Primitives with triangles of the mesh that ``node`` shows, in the mesh's own frame; read once.
+
+        Morph targets are added with the node's weights, or else with the mesh's.
+        """
+        index = node["mesh"]
+        record = entry(self.document, "meshes", index)
+        owner, where = (node, f"a node of meshes[{index}]") if "weights" in node else (record, f"meshes[{index}]")
+        given = owner.get("weights", [])
+        weights = (
+            tuple(_numbers(owner, "weights", len(given), where).tolist()) if isinstance(given, list) and given else ()
+        )
+        if (index, weights) not in self._meshes:
+            self._meshes[index, weights] = [
+                read_primitive(self.arrays, self.materials, *p, weights=weights) for p in self._primitives(index)
+            ]
+        return self._meshes[index, weights]
 
     def _primitives(self, mesh: int) -> Iterator[tuple[dict[str, Any], str]]:
         for k, primitive in enumerate(entry(self.document, "meshes", mesh).get("primitives", [])):
@@ -149,18 +198,90 @@ class GltfFile:
                 _log.warning("%s has no POSITION, it is left out: %s", where, self.path)
 
     def parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64]]]:
-        """Every primitive in the scene, once per node, with its 4x4 matrix to the file's frame."""
-        yield from ((part, matrix) for part, matrix, _ in self.skinned_parts())
+        """Every primitive in the scene, once per node and instance, with its 4x4 matrix to the file's frame.
+
+        A skin comes posed in that frame by its joints: the transforms of its node do not count (glTF 3.7.3.3).
+        """
+        for part, matrix, skin in self.skinned_parts():
+            if skin is None or part.influences is None:
+                yield part, matrix
+                continue
+            try:
+                posed, place = self._posed(part, matrix, skin), np.eye(4)
+            except ValueError as fault:
+                posed, place = part, matrix
+                if not self._warned_of_skins:
+                    self._warned_of_skins = True
+                    _log.warning("a skin is damaged, its mesh stands where its node is (%s): %s", fault, self.path)
+            yield posed, place
 
     def skinned_parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64], object]]:
         """Every primitive in the scene, once per node, with its 4x4 matrix and the node's skin (None: no skin)."""
         placed = self._placed_meshes()
-        counts = {mesh: sum(triangle_count(self.arrays, *p) for p in self._primitives(mesh)) for mesh, _, _ in placed}
-        total = sum(counts[mesh] for mesh, _, _ in placed)
+        meshes = {node["mesh"] for node, _ in placed}
+        counts = {mesh: sum(triangle_count(self.arrays, *p) for p in self._primitives(mesh)) for mesh in meshes}
+        total = sum(counts[node["mesh"]] for node, _ in placed)
         if total > MAX_TRIANGLES:
             raise ValueError(f"its nodes show {total} triangles, the limit is {MAX_TRIANGLES}")
-        for mesh, matrix, skin in placed:
-            yield from ((part, matrix, skin) for part in self.mesh(mesh))
+        for node, matrix in placed:
+            yield from ((part, matrix, node.get("skin")) for part in self.mesh(node))
+
+    # --- skins --------------------------------------------------------------------------------------------------------
+    def skin(self, index: object) -> tuple[list[int], NDArray[np.float64]]:
+        """Joints of ``skins[index]``, as indices of nodes, and their inverse bind matrices [J, 4, 4]."""
+        record, where = entry(self.document, "skins", index), f"skins[{index}]"
+        joints = record.get("joints")
+        if not isinstance(joints, list) or not joints:
+            raise ValueError(f"{where}.joints is not a list of nodes")
+        if "inverseBindMatrices" not in record:
+            return joints, np.broadcast_to(np.eye(4), (len(joints), 4, 4))
+        values = self.arrays.floats(record["inverseBindMatrices"]).astype(np.float64)
+        if values.shape != (len(joints), 16) or not np.isfinite(values).all():
+            raise ValueError(f"{where}.inverseBindMatrices is not an accessor of {len(joints)} MAT4")
+        return joints, values.reshape(-1, 4, 4).swapaxes(1, 2)  # stored by columns
+
+    @cached_property
+    def _parents(self) -> dict[int, int]:
+        nodes = self.document.get("nodes", [])
+        return {child: index for index, node in enumerate(nodes) for child in node.get("children", [])}
+
+    def _world(self, index: int) -> NDArray[np.float64]:
+        """Matrix [4, 4] of any node, in the scene or not."""
+        matrix, seen = np.eye(4), set()
+        at: int | None = index
+        while at is not None:
+            if at in seen:
+                raise ValueError(f"nodes[{at}] is its own ancestor")
+            seen.add(at)
+            matrix = local_matrix(self.node(at), f"nodes[{at}]") @ matrix
+            at = self._parents.get(at)
+        return matrix
+
+    def _posed(self, part: PlainMesh, matrix: NDArray[np.float64], skin: object) -> PlainMesh:
+        """A skinned primitive in the file's frame; vertices without weights stay with its node (``matrix``)."""
+        assert part.influences is not None
+        joints, inverse_bind = self.skin(skin)
+        which, weights = part.influences
+        if which.size and (which.min() < 0 or which.max() >= len(joints)):
+            raise ValueError(f"JOINTS_0 goes up to {which.max()}, skins[{skin}] has {len(joints)} joints")
+        bones = np.stack([self._world(joint) @ bind for joint, bind in zip(joints, inverse_bind, strict=True)])
+        total = weights.astype(np.float64).sum(1)
+        held = np.isfinite(total) & (total > 0)
+        shares = np.where(held[:, None], weights / np.where(held, total, 1)[:, None], 0)
+        blended = np.zeros((len(weights), 3, 4))
+        for k in range(which.shape[1]):
+            blended += shares[:, k, None, None] * bones[which[:, k], :3]
+        blended[~held] = matrix[:3]
+        linear = blended[:, :, :3]
+        vertices = np.einsum("vij,vj->vi", linear, part.vertices.astype(np.float64)) + blended[:, :, 3]
+        normals, faces = part.normals, part.faces
+        if normals is not None:
+            cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
+            turned = np.einsum("vij,vj->vi", cofactors, np.nan_to_num(normals.astype(np.float64)))
+            normals = normalized(turned * np.sign(np.linalg.det(linear))[:, None]).astype(np.float32)
+        if len(faces) and (np.linalg.det(linear[faces[:, 0]]) < 0).all():  # mirrored: right side out again
+            faces = np.ascontiguousarray(faces[:, ::-1])
+        return replace(part, vertices=vertices, normals=normals, faces=faces)
 
 
 def _part(document: dict[str, Any], key: str) -> dict[str, Any]:
@@ -169,7 +290,7 @@ def _part(document: dict[str, Any], key: str) -> dict[str, Any]:
 
 
 def _check_extensions(required: Any, path: Path) -> None:
-    """Refuses required extensions that change the geometry; warns about others that are not supported."""
+    """Refuses required extensions that are not known, by name; warns of those that only paint."""
     if not isinstance(required, list):
         raise ValueError(f"extensionsRequired is not a list but {type(required).__name__}")
     unknown = sorted({str(name) for name in required} - _KNOWN_EXTENSIONS)
@@ -177,6 +298,11 @@ def _check_extensions(required: Any, path: Path) -> None:
     if packed:
         raise SceneError(
             f"its triangles are compressed ({packed[0]}), which is not read. Hint: gltfpack -noq -i IN -o OUT.glb"
+        )
+    shapes = [name for name in unknown if not _ONLY_PAINT.match(name)]
+    if shapes:
+        raise SceneError(
+            f"it requires the glTF extension {', '.join(shapes)}, which is not read. Hint: export it without this extension"
         )
     if unknown:
         _log.warning("It needs glTF extensions that are not supported, and may look different: %s: %s", unknown, path)

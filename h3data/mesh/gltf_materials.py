@@ -27,6 +27,10 @@ class Look:
 
     factor: NDArray[np.float64]
     """Linear base colour, shape [3]."""
+    alpha: Alpha = "OPAQUE"
+    """What opacity means: nothing, a cut at ``cutoff``, or how much is seen of what is behind."""
+    cutoff: float = 0.5
+    opacity: float = 1.0
     texture: Texture | None = None
     uv_set: int = 0
     """The n of ``TEXCOORD_n``."""
@@ -60,13 +64,24 @@ class GltfMaterials:
         opacity = 1.0 if factor is None or len(factor) < 4 else float(factor[3])
         if not 0 <= opacity <= 1:
             raise ValueError(f"{where} has the opacity {factor!r}[3], not between 0 and 1")
+        alpha, cutoff = (
+            _ALPHA_MODES.get(record.get("alphaMode", "OPAQUE"), "OPAQUE"),
+            float(record.get("alphaCutoff", 0.5)),
+        )
         if info is None:
-            return Look(factor=rgb)
-        alpha = _ALPHA_MODES.get(record.get("alphaMode", "OPAQUE"), "OPAQUE")
-        texture = self._texture(info, where, alpha, float(record.get("alphaCutoff", 0.5)), opacity)
+            return Look(factor=rgb, alpha=alpha, cutoff=cutoff, opacity=opacity)
+        texture = self._texture(info, where, alpha, cutoff, opacity)
         moved = info.get("extensions", {}).get("KHR_texture_transform", {})
         uv_set = natural(moved, "texCoord", where, natural(info, "texCoord", where, 0))
-        return Look(factor=rgb, texture=texture, uv_set=uv_set, uv_transform=_uv_transform(moved, where))
+        return Look(
+            factor=rgb,
+            alpha=alpha,
+            cutoff=cutoff,
+            opacity=opacity,
+            texture=texture,
+            uv_set=uv_set,
+            uv_transform=_uv_transform(moved, where),
+        )
 
     def _texture(self, info: dict[str, Any], where: str, alpha: Alpha, cutoff: float, opacity: float) -> Texture | None:
         fault = f"{where} names no image"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import SceneError
+from h3data.geometry import normalized
 from h3data.mesh.accessors import GltfArrays, entry, natural
 from h3data.mesh.gltf_materials import GltfMaterials, Look
 from h3data.mesh.mesh import Texture
@@ -54,8 +56,15 @@ def triangle_count(arrays: GltfArrays, primitive: dict[str, Any], where: str) ->
     return count // 3 if primitive.get("mode", 4) == 4 else max(count - 2, 0)
 
 
-def read_primitive(arrays: GltfArrays, materials: GltfMaterials, primitive: dict[str, Any], where: str) -> PlainMesh:
-    """Reads the triangles of ``primitive``, found at ``where`` in the document.
+def read_primitive(
+    arrays: GltfArrays,
+    materials: GltfMaterials,
+    primitive: dict[str, Any],
+    where: str,
+    *,
+    weights: Sequence[float] = (),
+) -> PlainMesh:
+    """Reads the triangles of ``primitive``, found at ``where`` in the document, its morph targets added by ``weights``.
 
     Raises:
         ValueError: the primitive is not valid glTF; the message names the key.
@@ -75,11 +84,31 @@ def read_primitive(arrays: GltfArrays, materials: GltfMaterials, primitive: dict
     for name, values in attributes.items():
         if len(values) != len(position):
             raise ValueError(f"{where}.attributes.{name} has {len(values)} elements, POSITION {len(position)}")
+    attributes = _morphed(arrays, attributes, primitive.get("targets", []), weights, where)
     corners = _triangles(order, len(position), primitive.get("mode", 4), where)
     used, faces = _compact(corners, len(position))
     attributes = {name: values[used] for name, values in attributes.items()}
     look = materials.look(primitive["material"]) if "material" in primitive else None
     return _painted(attributes, faces, look, where)
+
+
+def _morphed(
+    arrays: GltfArrays, attributes: Mapping[str, NDArray[Any]], targets: Any, weights: Sequence[float], where: str
+) -> dict[str, NDArray[Any]]:
+    """Attributes with what the targets add to positions and normals."""
+    found = dict(attributes)
+    if not isinstance(targets, list) or not all(isinstance(target, dict) for target in targets):
+        raise ValueError(f"{where}.targets is not a list of objects")
+    for k, (target, weight) in enumerate(zip(targets, weights, strict=False)):
+        for name in ("POSITION", "NORMAL"):
+            if weight and name in target and name in found:
+                added = arrays.floats(target[name])
+                if added.shape != found[name].shape:
+                    raise ValueError(f"{where}.targets[{k}].{name} has another shape than {name}")
+                found[name] = found[name] + np.float32(weight) * added
+    if found.get("NORMAL") is not attributes.get("NORMAL"):
+        found["NORMAL"] = normalized(found["NORMAL"].astype(np.float64)).astype(np.float32)
+    return found
 
 
 def _used(name: str) -> bool:
@@ -138,13 +167,16 @@ def _painted(
     if color is not None and (color.ndim != 2 or color.shape[1] not in (3, 4)):
         raise ValueError(f"{where}.attributes.COLOR_0 is not an accessor of VEC3 or VEC4")
     texture, uv = (None, None) if look is None else (look.texture, attributes.get(f"TEXCOORD_{look.uv_set}"))
+    if look is not None and look.alpha != "OPAQUE" and (texture is None or uv is None):
+        texture, uv = _see_through(faces, color, look, len(position))
     if look is not None and uv is not None and texture is not None:
         if uv.shape != (len(position), 2):
             raise ValueError(f"{where}.attributes.TEXCOORD_{look.uv_set} is not an accessor of VEC2")
         if look.uv_transform is not None:
             uv = uv @ look.uv_transform[:, :2].T + look.uv_transform[:, 2]
         uv = np.nan_to_num(uv.astype(np.float32), posinf=0, neginf=0)
-        if (uv[faces] == uv[faces[:, :1]]).all():  # a palette: every triangle sees one texel
+        solid = look.alpha == "OPAQUE" or (nearest_texels(texture, uv)[:, 3] == 255).all()
+        if solid and (uv[faces] == uv[faces[:, :1]]).all():  # a palette: every triangle sees one texel
             texel = bytes_to_linear(nearest_texels(texture, uv)[:, :3])
             color = texel if color is None else texel * color[:, :3]
             texture = None
@@ -159,6 +191,30 @@ def _painted(
         texture=None if uv is None else texture,
         influences=_influences(attributes, where),
     )
+
+
+def _see_through(
+    faces: NDArray[np.int32], color: NDArray[Any] | None, look: Look, count: int
+) -> tuple[Texture | None, NDArray[Any] | None]:
+    """A white texture with its coordinates [V, 2] where colours alone make triangles see-through; None where none are."""
+    alpha = np.full(count, look.opacity)
+    if color is not None and color.shape[1] == 4:
+        alpha = alpha * np.nan_to_num(color[:, 3].astype(np.float64)).clip(0, 1)
+    if look.alpha == "MASK":
+        alpha = np.where(alpha >= look.cutoff, 1.0, 0.0)
+    seen = alpha[faces.ravel()]
+    if (seen >= 1).all():
+        return None, None
+    u = (alpha * 255 + 0.5) / 256
+    return _white_ramp(), np.column_stack([u, np.full(count, 0.5)]).astype(np.float32)
+
+
+@lru_cache(maxsize=1)
+def _white_ramp() -> Texture:
+    """A row of white texels of all opacities: a texture without any solid texel would be drawn as a solid one."""
+    pixels = np.full((1, 256, 4), 255, np.uint8)
+    pixels[0, :, 3] = np.arange(256)
+    return Texture(pixels=pixels)
 
 
 def _colors(linear: NDArray[Any] | None, look: Look | None, count: int) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""Loads meshes from GLB, glTF, OBJ, PLY and STL files: +Y up, metres, with colours and textures."""
+"""Loads meshes from GLB, glTF, OBJ, PLY, STL and Collada files: +Y up, metres, with colours and textures."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from h3data.mesh.gltf import GltfFile, local_matrix
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR, PlainMesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import joined
-from h3data.mesh.trimesh_files import read_with_trimesh
+from h3data.mesh.readers.collada import read_collada
+from h3data.mesh.readers.trimesh_files import FilesBeside, read_with_trimesh
 
 __all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_mesh", "load_parts", "node_box"]
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 _READABLE = (*MESH_SUFFIXES, ".dae")
-"""Collada, which many robots have, needs the package pycollada: the extra `collada`."""
 _GLTF_SUFFIXES = (".glb", ".gltf")
 
 Vector3 = tuple[float, float, float]
@@ -38,7 +38,8 @@ def load_mesh(
     """Loads the triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
 
     ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame``
-    (spec/habitat.md 5.1): YCB files have up +Z, front +Y.
+    (spec/habitat.md 5.1): YCB files have up +Z, front +Y. Collada files say their unit and ``up_axis`` themselves; they
+    arrive as robots have them, in metres and with +Z up, and ``up``, ``front`` and ``units_m`` act on that.
 
     Colours are sRGB per vertex: the file's vertex colours times the material's base colour, in linear light. Base
     colour textures are kept (PNG, JPEG, WebP; KTX2 with Basis Universal if ``h3data[gltf]`` is installed), equal
@@ -106,8 +107,9 @@ def _node_box(file: GltfFile) -> NDArray[np.float64]:
     outermost = []
     for at in range(len(file.nodes) - 1, -1, -1):  # children before parents
         index, parent, _ = file.nodes[at]
-        mesh = file.node(index).get("mesh")
-        own = [] if mesh is None else [_bounds(part) for part in file.mesh(mesh)]
+        shown = file.node(index).get("mesh") is not None
+        boxes = [b for b in (_bounds(part) for part in file.mesh(file.node(index))) if len(b)] if shown else []
+        own = [_corners(b) @ m[:3, :3].T + m[:3, 3] for b in boxes for m in file.instances(index)]
         box = _box_around([*own, *inside[at]])
         if len(box):
             matrix = local_matrix(file.node(index), f"nodes[{index}]")
@@ -168,6 +170,10 @@ def load_parts(
                 parts = [
                     _placed(part, to_metres @ matrix) for part, matrix in GltfFile(path).parts() if len(part.faces)
                 ]
+            elif path.suffix.lower() == ".dae":
+                beside = FilesBeside(path)
+                parts = [_placed(part.mesh, to_metres @ part.matrix) for part in read_collada(path, beside.get)]
+                beside.warn()
             else:
                 parts = [_placed(part, to_metres) for part in read_with_trimesh(path)]
     except Exception as fault:

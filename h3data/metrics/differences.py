@@ -55,7 +55,16 @@ class Differences:
             changed = f"{len(self.changed(name))} of {len(self.episode_ids)}"
             lines.append([name, *means, interval, _number(test.p_adjusted, ".3g"), changed])
         spelled_out = legend(metric for metric in self.metrics if metric.name in self.tests)
-        return "\n".join([aligned(lines), spelled_out, *self._change_lines()])
+        return "\n".join([aligned(lines), spelled_out, *self.notes, *self._change_lines()])
+
+    @property
+    def notes(self) -> list[str]:
+        """Reservations of the tests, those of several metrics once."""
+        by_note: dict[str, list[str]] = {}
+        for name, test in self.tests.items():
+            for note in test.notes:
+                by_note.setdefault(note, []).append(name)
+        return [f"{', '.join(names)}: {note}" for note, names in by_note.items()]
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as JSON types; undefined numbers are None."""

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from h3data.errors import InputError
-from h3data.files import part_file
+from h3data.files import part_file, spreadsheet_cell
 from h3data.metrics.explain import runs
 from h3data.metrics.registry import series_of
 from h3data.metrics.requirements import UnmeasurableError
@@ -84,7 +84,9 @@ def _table_csv(table: MetricsTable, path: Path) -> None:
             facts = row.to_dict()
             values = ["" if v is None else repr(v) for v in facts["values"].values()]
             notes = "; ".join(f"{name}: {text}" for name, text in row.notes.items())
-            writer.writerow([*(facts.get(name, "") for name in names), *values, notes])
+            writer.writerow(
+                [*(spreadsheet_cell(facts.get(name, "")) for name in names), *values, spreadsheet_cell(notes)]
+            )
 
 
 def _table_parquet(table: MetricsTable, path: Path) -> None:

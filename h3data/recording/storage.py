@@ -217,8 +217,8 @@ def local(path: str | os.PathLike[str] | RemotePath) -> Path:
 
 
 def readable(path: AnyPath) -> Path | pa.NativeFile:
-    """The file as pyarrow's readers take it."""
-    return path.open_input() if isinstance(path, RemotePath) else path
+    """The file as pyarrow's readers take it: absolute, since they take a relative ``data:x`` for a URI."""
+    return path.open_input() if isinstance(path, RemotePath) else path.absolute()
 
 
 def open_binary(path: AnyPath) -> IO[bytes] | pa.NativeFile:

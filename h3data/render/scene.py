@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.mesh_operations import face_texture_indices
-from h3data.render.raster.clusters import Clusters, build_clusters, enclosing_box, normal_groups
+from h3data.render.raster.clusters import (
+    Clusters,
+    build_clusters,
+    cluster_vertices,
+    enclosing_box,
+    normal_groups,
+)
 from h3data.render.raster.raster import Geometry
 from h3data.render.shade.cutouts import cut_out_faces, pack_cutouts
 from h3data.render.shade.patches import smooth_patches
@@ -87,6 +93,8 @@ class RenderScene:
         self.surface = self._build_surface(textures)
         self.cutouts = pack_cutouts(self.cut_out_faces, self.surface, self.geometry.cluster_packets, textures)
         self.parts = {m: parts[m] for m in self.deformable}
+        self.members = {m: cluster_vertices(parts[m]) for m in self.deformable}
+        """Vertices of each cluster of deformable meshes."""
         self.groups = {
             m: normal_groups(mesh.vertices, mesh.normals)
             for m, mesh in enumerate(self.meshes)

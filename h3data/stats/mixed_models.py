@@ -30,6 +30,11 @@ _ROUNDING = 1e-4
 """Decrement accepted where no step lowers the deviance any more: the error of the finite differences."""
 _STEP = 0.02
 """Step of the finite differences, in standard errors."""
+_ALIKE = 5.0
+"""Log-odds. With a deviation beyond this, two of three people of a binomial model nearly always answer alike: the likelihood
+says only that it is large, Laplace's approximation of it fails, and means of "a typical person" run to 0 or 1."""
+_PENALTY = 2.5
+"""Log-odds. Scale of the half-normal penalty of deviations that then applies: odds of typical people within a factor of 12."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,14 +60,17 @@ class GlmmFit:
     """Pearson's statistic over the residual degrees of freedom; far above 1, the standard errors are too small."""
     converged: bool
     notes: tuple[str, ...]
-    """Reservations about the estimates: singular, over-dispersed, not converged."""
+    """Reservations about the estimates: singular, over-dispersed, always alike, not converged."""
     overdispersed: bool = False
     """The response varies so much more than the family allows that standard errors and p values are too small."""
+    penalised: bool = False
+    """People (or other levels of a random intercept) always answer alike, so that their deviation has no finite estimate;
+    a penalty holds it back, and estimates depend on that penalty."""
 
     @property
     def sound(self) -> bool:
         """Whether standard errors and p values can be relied on."""
-        return self.converged and not self.overdispersed
+        return self.converged and not self.overdispersed and not self.penalised
 
     @property
     def standard_errors(self) -> NDArray[np.float64]:
@@ -130,25 +138,21 @@ def fit_glmm(
         levels=levels or {},
         observation_effect=observation_effect,
     )
-    model = LaplaceModel(design)
-    start, mode = _profiled(model)
-    k = len(start)
-    if not np.isfinite(mode.deviance):
-        raise InputError(f"No likelihood could be computed: {design.formula}. Hint: scale covariates to about 1.")
-    scale = np.zeros((k + design.x.shape[1],) * 2)
-    scale[:k, :k] = np.diag(np.maximum(start, 0.05) / np.sqrt(2.0 * model.level_counts))
-    scale[k:, k:] = np.linalg.inv(mode.fixed_factor).T
-
-    def deviance(at: NDArray[np.float64]) -> float:
-        return model.mode(at[:k], at[k:]).deviance
-
-    optimum, inverse, converged = _newton(deviance, np.append(start, mode.coefficients).astype(np.float64), scale)
-    theta = np.abs(optimum[:k])
-    theta[theta < _SINGULAR] = 0
-    coefficients = optimum[k:]
+    model, alike = LaplaceModel(design), _always_alike(design)
+    theta, coefficients, covariance, converged = _maximum(model, design, penalised=bool(alike))
+    if not alike and family == "binomial":
+        alike = [name for name, deviation in zip(design.groups, theta, strict=True) if deviation > _ALIKE]
+        if alike:
+            model = LaplaceModel(design)
+            theta, coefficients, covariance, converged = _maximum(model, design, penalised=True)
     mode = model.mode(theta, coefficients)
     notes = _notes(design, theta, converged)
-    dispersion = model.pearson(mode) / max(len(design.response) - len(optimum), 1)
+    if alike:
+        notes.append(
+            f"always alike: rows of the same {' and '.join(alike)} hardly differ, so the deviation has no finite estimate. A "
+            "penalty holds it back; means, standard errors and p values depend on that penalty. Report plain shares too."
+        )
+    dispersion = model.pearson(mode) / max(len(design.response) - len(theta) - len(coefficients), 1)
     binary = family == "binomial" and bool((design.trials == 1).all())
     overdispersed = bool(dispersion > _OVERDISPERSED) and not observation_effect and not binary
     if overdispersed:
@@ -162,7 +166,7 @@ def fit_glmm(
         rows=len(design.response),
         fixed=design.fixed,
         coefficients=coefficients,
-        covariance=2 * inverse[k:, k:],  # the information is half the Hessian of -2 log L
+        covariance=covariance,
         deviations=dict(zip(design.groups, map(float, theta), strict=True)),
         modes={
             name: dict(zip(design.group_levels[name], map(float, values), strict=True))
@@ -173,17 +177,56 @@ def fit_glmm(
         converged=converged,
         notes=tuple(notes),
         overdispersed=overdispersed,
+        penalised=bool(alike),
     )
 
 
-def _profiled(model: LaplaceModel) -> tuple[NDArray[np.float64], Mode]:
+def _always_alike(design: MixedDesign) -> list[str]:
+    """Random factors of a binomial model of which every level has only failures or only successes, in several rows."""
+    if design.family != "binomial":
+        return []
+    found = []
+    for name, codes in design.groups.items():
+        trials, successes = (np.bincount(codes, weights=values) for values in (design.trials, design.response))
+        constant = bool(((successes == 0) | (successes == trials)).all())
+        if constant and trials.sum() > len(trials) and 0 < successes.sum() < trials.sum():
+            found.append(name)
+    return found
+
+
+def _maximum(
+    model: LaplaceModel, design: MixedDesign, *, penalised: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], bool]:
+    """Deviations [K], coefficients [P] and their covariance [P, P] at the maximum, and whether it is a proper one."""
+
+    def penalty(theta: NDArray[np.float64]) -> float:
+        return float(np.sum((theta / _PENALTY) ** 2)) if penalised else 0.0
+
+    start, mode = _profiled(model, penalty)
+    k = len(start)
+    if not np.isfinite(mode.deviance):
+        raise InputError(f"No likelihood could be computed: {design.formula}. Hint: scale covariates to about 1.")
+    scale = np.zeros((k + design.x.shape[1],) * 2)
+    scale[:k, :k] = np.diag(np.maximum(start, 0.05) / np.sqrt(2.0 * model.level_counts))
+    scale[k:, k:] = np.linalg.inv(mode.fixed_factor).T
+
+    def deviance(at: NDArray[np.float64]) -> float:
+        return model.mode(at[:k], at[k:]).deviance + penalty(at[:k])
+
+    optimum, inverse, converged = _newton(deviance, np.append(start, mode.coefficients).astype(np.float64), scale)
+    theta = np.abs(optimum[:k])
+    theta[theta < _SINGULAR] = 0
+    return theta, optimum[k:], 2 * inverse[k:, k:], converged  # the information is half the Hessian of -2 log L
+
+
+def _profiled(model: LaplaceModel, penalty: Callable[[NDArray[np.float64]], float]) -> tuple[NDArray[np.float64], Mode]:
     """Deviations [K] and mode near the optimum, with coefficients in the inner iteration (lme4's ``nAGQ = 0``)."""
     from scipy.optimize import minimize
 
     k = len(model.level_counts)
     first = np.full(k, np.log(0.3))
     result = minimize(
-        lambda log_theta: model.mode(np.exp(log_theta)).deviance,
+        lambda log_theta: model.mode(np.exp(log_theta)).deviance + penalty(np.exp(log_theta)),
         first,
         method="Nelder-Mead",
         bounds=[(-12, 5)] * k,

@@ -18,6 +18,8 @@ from h3data.stats.intervals import bootstrap_interval
 PairedMethod = Literal["auto", "permutation", "t", "wilcoxon", "mcnemar"]
 
 _RESAMPLES = 10_000
+_ENUMERATED = 20
+"""Differences other than 0 up to which all 2^n patterns of signs are tried: half a million sums."""
 _BLOCK = 2_000_000
 """Random signs held in memory at once."""
 
@@ -44,6 +46,8 @@ class PairedComparison:
     pairs: int
     undefined: int
     """Episodes in which one of the two values, or both, are undefined."""
+    notes: tuple[str, ...] = ()
+    """Reservations: pairs of 0/1 values, too few pairs for a p value below .05."""
 
 
 def compare_paired(
@@ -57,12 +61,16 @@ def compare_paired(
     """Compares one value per episode id of two runs.
 
     Methods (all two-sided) and their effect sizes:
-    ``permutation``: random signs of the differences, 10,000 seeded permutations; Cohen's d_z = mean / std of the
-    differences.
+    ``permutation``: signs of the differences; exact over all 2^n patterns with up to 20 differences other than 0, else
+    10,000 seeded random patterns; Cohen's d_z = mean / std of the differences.
     ``t``: Student's paired t test; d_z.
-    ``wilcoxon``: signed ranks; matched-pairs rank-biserial correlation (Kerby 2014), zeros left out.
+    ``wilcoxon``: signed ranks, exact up to 20, with ties too; matched-pairs rank-biserial correlation (Kerby 2014), zeros left
+    out.
     ``mcnemar``: for 0/1 values, exact; odds ratio of the discordant pairs, (b + 1/2) / (c + 1/2).
     ``auto``: ``mcnemar`` if all values are 0 or 1, else ``permutation``.
+
+    The result's ``notes`` say where a test cannot tell much: of 0/1 values only the pairs that differ count, and n such pairs
+    give no p value below 2 / 2^n.
 
     Raises:
         InputError: the runs hold different episodes (the message names them), or the method does not fit the values.
@@ -82,6 +90,8 @@ def compare_paired(
         raise InputError(f"Expected a method of auto, {', '.join(_TESTS)}, got {method!r}.")
     name, test, effect_name = _TESTS[method]
     d = a - b
+    if method == "permutation" and np.count_nonzero(d) <= _ENUMERATED:
+        name = "exact permutation"
     p, effect = test(d, seed) if len(d) > 1 else (float("nan"), float("nan"))
     low, high = bootstrap_interval(d, confidence=confidence, seed=seed)
     return PairedComparison(
@@ -97,7 +107,21 @@ def compare_paired(
         effect_name=effect_name,
         pairs=len(d),
         undefined=undefined,
+        notes=tuple(_notes(d, method, binary=binary)) if len(d) > 1 else (),
     )
+
+
+def _notes(d: NDArray[np.float64], method: PairedMethod, *, binary: bool) -> list[str]:
+    notes, differ = [], int(np.count_nonzero(d))
+    if binary:
+        notes.append(f"The values are 0 or 1: of {len(d)} pairs only the {differ} that differ say which is larger.")
+        if method in ("t", "wilcoxon"):
+            notes.append("This test is approximate or ranks ties on 0/1 values; exact: method='mcnemar' (or auto).")
+    least = 2.0 ** (1 - differ)
+    if differ and least > 0.05 and method != "t":
+        what = "1 pair that differs" if differ == 1 else f"{differ} pairs that differ"
+        notes.append(f"With {what}, this test gives no p below {least:.3g}, whatever the values.")
+    return notes
 
 
 def _mean(values: NDArray[np.float64]) -> float:
@@ -105,15 +129,30 @@ def _mean(values: NDArray[np.float64]) -> float:
 
 
 def _permutation(d: NDArray[np.float64], seed: int) -> tuple[float, float]:
-    random = np.random.default_rng(seed)
-    observed, extreme = abs(d.sum()), 0
+    effect, moving = _cohen(d), d[d != 0]  # a sign of 0 changes nothing
+    if len(moving) <= _ENUMERATED:
+        return _exact_p(moving), effect
+    random, extreme = np.random.default_rng(seed), 0
+    observed = abs(d.sum()) - _rounding(d)
     per_block = max(1, _BLOCK // len(d))
     for start in range(0, _RESAMPLES, per_block):
         rows = min(per_block, _RESAMPLES - start)
         signs = random.integers(0, 2, (rows, len(d)), np.int8) * 2 - 1
-        # The tolerance keeps permutations that equal the observed sum up to rounding among the extreme ones.
-        extreme += int((np.abs(signs @ d) >= observed * (1 - 1e-12)).sum())
-    return (extreme + 1) / (_RESAMPLES + 1), _cohen(d)
+        extreme += int((np.abs(signs @ d) >= observed).sum())
+    return (extreme + 1) / (_RESAMPLES + 1), effect
+
+
+def _exact_p(d: NDArray[np.float64]) -> float:
+    """The share of all patterns of signs whose sum is at least as far from 0 as that of ``d``; 1 of no differences."""
+    sums = d[:1]  # the other sign of the first mirrors all sums
+    for value in d[1:]:
+        sums = np.concatenate([sums + value, sums - value])
+    return float((np.abs(sums) >= abs(d.sum()) - _rounding(d)).mean()) if len(d) else 1.0
+
+
+def _rounding(d: NDArray[np.float64]) -> float:
+    """Sums that differ by less are equal but for rounding."""
+    return 1e-12 * float(np.abs(d).sum())
 
 
 def _student(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:
@@ -132,8 +171,11 @@ def _wilcoxon(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:
     if not len(d):
         return 1.0, 0.0
     ranks = rankdata(np.abs(d))
+    effect = float((ranks * np.sign(d)).sum() / ranks.sum())
+    if len(d) <= _ENUMERATED:
+        return _exact_p(ranks * np.sign(d)), effect
     result: Any = wilcoxon(d)
-    return float(result.pvalue), float((ranks * np.sign(d)).sum() / ranks.sum())
+    return float(result.pvalue), effect
 
 
 def _mcnemar(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:

@@ -32,7 +32,7 @@ def curve_of(folder: Path) -> list[Row]:
     path = folder / CURVE
     if not path.is_file():
         raise InputError(f"Expected the folder of a training run, found no {CURVE}. Folder: {folder}")
-    return pq.read_table(path).to_pylist()
+    return pq.read_table(path.absolute()).to_pylist()  # a relative path may look like a URI
 
 
 class EventLog:

@@ -229,9 +229,9 @@ class PersonActor:
 
     def _go_to(self, stand: Array, point: Array) -> Skill:
         """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
-        yield from self._walk(stand[:2], facing=float(stand[2]))
+        waited = yield from self._walk(stand[:2], facing=float(stand[2]))
         if np.hypot(*(self.xz - stand[:2])) > 2 * self.spec.arrive_m:
-            return Ending("failed", "stuck")
+            return Ending("failed", "blocked" if waited > AVOIDANCE.patience_steps else "stuck")
         self.person.look_at = point.copy()
         yield from self._careful(self.person.turn(float(stand[2]), settles=False))
         return Ending("done")
@@ -254,12 +254,12 @@ class PersonActor:
                 return Ending("failed", "blocked")
             yield
 
-    def _walk(self, goal: NDArray, *, facing: float | None = None) -> Generator[None, None, None]:
+    def _walk(self, goal: NDArray, *, facing: float | None = None) -> Generator[None, None, int]:
         """Walk to a floor point [2] without stopping on the way, turning on the spot where it turns (paper 3.1), or in curves
-        as `WalkerSpec.stride` says, which end towards the heading ``facing`` [rad]."""
+        as `WalkerSpec.stride` says, which end towards the heading ``facing`` [rad]. Returns the steps for which they waited
+        for others at the end."""
         if self.spec.stride is not None:
-            yield from self._walk_curves(goal, facing)
-            return
+            return (yield from self._walk_curves(goal, facing))
         path = self._path(goal)
         if len(path):
             dx, dz = path[0] - self.xz
@@ -286,8 +286,9 @@ class PersonActor:
             yield
             there = np.hypot(*(path[k] - self.xz)) <= self.spec.arrive_m
             k += there and (k + 1 < len(path) or self._gait.blend[0] == 0)
+        return waited
 
-    def _walk_curves(self, goal: NDArray, facing: float | None) -> Generator[None, None, None]:
+    def _walk_curves(self, goal: NDArray, facing: float | None) -> Generator[None, None, int]:
         """As `_walk`; whoever waits brakes."""
         strider = Strider(self.free, self.spec, halts=True)
         strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
@@ -316,6 +317,7 @@ class PersonActor:
             waited = 0 if blocker is None else waited + 1
             self._stride(strider, goes=blocker is None)
             yield
+        return waited
 
     def _stride(self, strider: Strider, *, goes: bool) -> None:
         """One step along a path; where they would touch somebody they come to a stand."""

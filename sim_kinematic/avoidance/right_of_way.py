@@ -4,12 +4,15 @@ Every agent announces its path. In order of rank, each asks those that stand on 
 the nearest place off it; once it has been held up, also those that are going somewhere themselves. An agent that was asked
 inherits the rank of the asker, so a row of people in a corridor backs out together (priority inheritance: Okumura et al.,
 2022, PIBT). Where there is no such place, the roles are exchanged.
+
+Where two stay near each other and neither gets on (`sim_kinematic.avoidance.stand_offs`), one of them is sent to a refuge, off
+the whole remaining path of the other, until the other has got past. The next time it is the other's turn.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -21,6 +24,7 @@ from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
 from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.stand_offs import Errand, StandOffs
 from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
 
 
@@ -56,14 +60,25 @@ class _Request:
     route: NDArray[np.float64]
     """Points [N, 2] still to go."""
     steps: int = 0
+    stays_steps: int = 0
+    """It leads to a refuge, at which the agent stays for so long at most; 0: it does not."""
+    stayed: int = 0
+    """Steps since it got there."""
 
 
 class RightOfWay:
     """Tells every agent in each step whether, and by which path, to step aside."""
 
-    def __init__(self, free: FreeSpace, walkers: Sequence[Walker]) -> None:
+    def __init__(
+        self, free: FreeSpace, walkers: Sequence[Walker], errand: Callable[[int], Errand] | None = None, *,
+        asks: bool = True,
+    ) -> None:  # fmt: skip
+        """``errand`` says what an agent is about: then stand-offs are ended. With ``asks`` False that is all that is done."""
         self._free, self._routes = free, FloorRoutes.of(free)
         self._walkers = {walker.number: walker for walker in walkers}
+        self._asks = asks
+        numbers = [walker.number for walker in walkers]
+        self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
         self._requests: dict[int, _Request] = {}
         self._stalled = dict.fromkeys(self._walkers, 0)
         self._place = {number: _place(walker) for number, walker in self._walkers.items()}
@@ -86,12 +101,15 @@ class RightOfWay:
                 _drop_reached(walker, self._requests[number])
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
             del self._requests[number]
-        if not self._requests and self._all_are_clear():
+        if self._stand_offs is not None:
+            for pair in self._stand_offs.update():
+                self._part(self._stand_offs, pair, carrying)
+        if not self._requests and (not self._asks or self._all_are_clear()):
             for walker in self._walkers.values():
                 walker.aside = None
             return
         first: list[Walker] = []
-        waiting = sorted(self._walkers.values(), key=lambda walker: self._rank(walker, carrying))
+        waiting = sorted(self._walkers.values(), key=lambda walker: self._rank(walker, carrying)) if self._asks else []
         while waiting:
             me = waiting.pop(0)
             first.append(me)
@@ -165,7 +183,11 @@ class RightOfWay:
     def _ask(self, other: Walker, me: Walker, first: Sequence[Walker]) -> bool:
         """Asks an agent to step aside for me; returns whether it does."""
         path = self.path(me)
-        before = self._requests.get(other.number)
+        before, mine = self._requests.get(other.number), self._requests.get(me.number)
+        if mine is not None and mine.stays_steps and mine.by == other.number:
+            return False  # I am to get out of its way
+        if before is not None and before.stays_steps:
+            return True
         if before is not None and len(before.route) and self._stalled[other.number] < 3 * AVOIDANCE.held_up_steps:
             end = before.route[-1]
             kept = first_of_path(path, AVOIDANCE.keeps_free_m)
@@ -196,9 +218,73 @@ class RightOfWay:
         self._stalled[me.number] = self._stalled[other.number] = 0
         return True
 
+    # --- stand-offs ----------------------------------------------------------------------------------------------------
+    def _part(self, stand_offs: StandOffs, pair: tuple[int, int], carrying: Sequence[int]) -> None:
+        """Sends one of two agents to a refuge: the idle one, one that holds nothing, a robot; the next time the other."""
+        requests = [self._requests[number] for number in pair if number in self._requests]
+        if any(request.stays_steps and len(request.route) for request in requests):
+            return  # one of them is on its way
+        encounter, errands = stand_offs.of(*pair), {number: stand_offs.errand(number) for number in pair}
+        order = sorted(pair, key=lambda n: (errands[n].busy, n in carrying, not self._walkers[n].is_robot, n))
+        for number in order[:: -1 if encounter.rounds % 2 else 1]:
+            me, other = self._walkers[number], self._walkers[sum(pair) - number]
+            if not me.yields or not errands[number].obeys:
+                continue
+            route = self._refuge(me, other)
+            if route is None:
+                continue
+            stays = AVOIDANCE.refuge_steps
+            if not errands[other.number].obeys:
+                stays = min(AVOIDANCE.retries_steps << min(encounter.rounds, 8), stays)
+            self._requests.pop(other.number, None)
+            self._requests[number] = _Request(other.number, route, stays_steps=stays)
+            self._stalled[number] = self._stalled[other.number] = encounter.steps = 0
+            encounter.rounds += 1
+            return
+
+    def _refuge(self, me: Walker, other: Walker) -> NDArray[np.float64] | None:
+        """Points [N, 2] that lead to the nearest place that is off all of the other's path and far from it; else to the
+        farthest there is."""
+        spec = AVOIDANCE
+        discs = np.array([(*other.xz, spec.squeeze_share * aside_distance_m(me, other))])
+        flood = self._routes.flood(me.xz, discs)
+        room = spec.room_m[me.is_robot] + _size_beyond_default(me)
+        fits = np.isfinite(flood.distance) & (self._routes.room >= room)
+        cells = self._routes.centres[fits]
+        if not len(cells):
+            return None
+        apart = np.hypot(*(cells - other.xz).T)
+        aside = distance_to_path(cells, other.path) >= aside_distance_m(me, other)
+        for good in (aside & (apart >= spec.refuge_m), apart >= spec.refuge_m, apart >= 0.95 * apart.max()):
+            if good.any():
+                fits[fits] = good
+                route = flood.path_to_nearest(fits)
+                return None if route is None else route[1:]
+        return None
+
+    def _leaves_refuge(self, walker: Walker, request: _Request) -> bool:
+        """Whether an agent goes on from its refuge, or from the path to it."""
+        if len(request.route):
+            return self._stalled[walker.number] > 2 * AVOIDANCE.gives_up_steps
+        request.stayed += 1
+        return request.stayed > request.stays_steps or self._is_past(walker, self._walkers[request.by])
+
+    def _is_past(self, walker: Walker, other: Walker) -> bool:
+        """Whether the path of one agent leads nowhere near another, nor near the other's path."""
+        if not len(walker.path):
+            return False
+        mine = first_of_path(self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0), AVOIDANCE.keeps_free_m)
+        theirs = other.path if len(other.path) else other.xz[None]
+        gap = distance_to_path(np.vstack([walker.xz[None], _dots(mine)]), theirs).min()
+        return float(gap) >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
+
     # --- how long ------------------------------------------------------------------------------------------------------
     def _is_over(self, walker: Walker, request: _Request) -> bool:
-        if request.steps > AVOIDANCE.lasts_steps or not walker.yields:
+        if not walker.yields:
+            return True
+        if request.stays_steps:
+            return self._leaves_refuge(walker, request)
+        if request.steps > AVOIDANCE.lasts_steps:
             return True
         if len(request.route) and self._stalled[walker.number] > AVOIDANCE.gives_up_steps:
             return True

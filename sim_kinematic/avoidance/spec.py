@@ -160,6 +160,24 @@ class AvoidanceSpec:
     squeeze_share: float = 0.75
     """Share of ``aside_m`` that agents stepping aside keep from others on their path."""
 
+    # --- stand-offs: near each other, and neither gets on --------------------------------------------------------------
+    stand_off_m: float = 2.5
+    """Agents nearer than this are near each other."""
+    gets_on_m: float = 1.0
+    """An agent gets on that completes something, or has this much less to go than when they met."""
+    looks_steps: int = 10
+    """So often that is looked at."""
+    stand_off_steps: tuple[int, int] = (90, 45)
+    """After so many steps in which neither has got on, one of them is sent away; after the second number where one is driven
+    from outside, who may come after the other."""
+    refuge_m: float = 3.5
+    """At least so far from the other, if there is such a place."""
+    refuge_steps: int = 240
+    """It stays there until the other has got past, but no longer than this."""
+    retries_steps: int = 60
+    """So long it stays there the first time where the other is driven from outside; then twice that, and so on up to
+    ``refuge_steps``."""
+
     # --- floor routes around standing agents -----------------------------------------------------------------------------
     cell_m: float = 0.1
     """Side of a grid cell."""

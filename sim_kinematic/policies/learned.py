@@ -186,13 +186,15 @@ class PicturedNavigation:
             raise FormatError(f"These weights drive the robot {network.card.robot}, the episode has {robot}.")
         self.network = network
         self._state, self._action = network.start(), np.zeros(2, np.float32)
-        self._step = -1
+        self._step, self._decision = -1, -1
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
         """As `sim_kinematic.policies.social_nav.Policy`."""
         if view.step == 0 or view.step <= self._step:
-            self._state, self._action = self.network.start(), np.zeros(2, np.float32)
-        if view.step % self.network.card.hold == 0:
+            self._state, self._action, self._decision = self.network.start(), np.zeros(2, np.float32), -1
+        decision = view.step // self.network.card.hold
+        if decision != self._decision:  # also where it is first asked between two decisions: zeros would stand still
+            self._decision = decision
             out, self._state = self.network(self.look(view, spec), self._action, self._state)
             self._action = np.clip(np.nan_to_num(out, nan=0.0), -1, 1)
         self._step = view.step

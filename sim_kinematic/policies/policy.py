@@ -97,7 +97,7 @@ class External:
 
 
 class FunctionPolicy:
-    """A policy without memory: a function of the view and of the robot's base."""
+    """A policy that is a function of the view and of the robot's base; the function may hold a memory."""
 
     def __init__(self, function: Callable[[Any, BaseSpec], Any], base: BaseSpec) -> None:
         self._function, self._base = function, base

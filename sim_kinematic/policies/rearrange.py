@@ -78,8 +78,8 @@ class Planner:
     def act(self, view: RearrangeView) -> Action:
         while self._passed < len(self.objects):
             k = self.objects[self._passed]
-            failed = view.last is not None and view.last.outcome == "failed"
-            self._tries += failed
+            # whom others keep from getting there comes back: they go away some day
+            self._tries += view.last is not None and view.last.outcome == "failed" and view.last.reason != "blocked"
             if view.held_by[k] == view.agent or (k in view.left_to_do() and self._tries < 3):
                 return errand(view, k)
             self._passed, self._tries = self._passed + 1, 0

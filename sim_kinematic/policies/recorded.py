@@ -14,7 +14,7 @@ from h3data.errors import InputError
 from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action
-from sim_kinematic.policies.policy import FunctionPolicy, KeptMoment, Velocity
+from sim_kinematic.policies.policy import KeptMoment, Velocity
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
 
@@ -40,17 +40,26 @@ class RecordedCommand(NamedTuple):
 class RecordedVelocities:
     """Repeats recorded base velocities up to a step, then hands over to another policy.
 
-    A policy with a memory is asked from the start, so that in the end it remembers what it did then.
+    That policy, if there is one, is asked at every step since it decides, and its answers are dropped until ``until``: any
+    policy may hold a memory or an action between decisions, functions and networks included, and then has both.
     """
 
-    def __init__(self, choices: Mapping[int, Any], *, until: int, own: Any) -> None:
-        self._choices, self._until, self._own = choices, until, own
+    def __init__(self, choices: Mapping[int, Any], *, until: int, own: Any, since: int = 0) -> None:
+        self._choices, self._until, self._own, self.since = choices, until, own, since
 
     @classmethod
     def of(
-        cls, recording: Recording, number: int, commands: Sequence[RecordedCommand] | None, *, until: int, own: Any
+        cls,
+        recording: Recording,
+        number: int,
+        commands: Sequence[RecordedCommand] | None,
+        *,
+        until: int,
+        own: Any,
+        since: int = 0,
     ) -> RecordedVelocities:
-        """From the commands that came from outside, else from the column ``agent_<i>.action``.
+        """From the commands that came from outside, else from the column ``agent_<i>.action``. ``since`` is the step from which
+        ``own`` decided, `deciding_since`.
 
         Raises:
             InputError: commands or skills are not of the kind that the simulator knows.
@@ -58,7 +67,7 @@ class RecordedVelocities:
         told = {command.step: command.choice for command in commands or ()}
         if commands and f"agent_{number}.action" not in recording.columns:
             # a recording that was continued has commands for the steps before only
-            return cls(told, until=min(until, commands[-1].step + 1), own=own)
+            return cls(told, until=min(until, commands[-1].step + 1), own=own, since=since)
         actions = recording.columns[f"agent_{number}.action"]
         if actions.shape != (len(recording), 2) or not np.isfinite(actions).all():
             raise InputError(
@@ -75,13 +84,12 @@ class RecordedVelocities:
             k: Velocity(forward, turn, names[code] if code >= 0 else "")
             for k, ((forward, turn), code) in enumerate(zip(actions[:until].tolist(), codes.tolist(), strict=False))
         }
-        return cls({**choices, **told}, until=until, own=own)
+        return cls({**choices, **told}, until=until, own=own, since=since)
 
     def act(self, view: Any) -> Any:
-        if view.step >= self._until:
-            return self._own.act(view)
-        if self._own is not None and not isinstance(self._own, FunctionPolicy):
-            self._own.act(view)
+        choice = self._own.act(view) if self._own is not None and view.step >= self.since else None
+        if view.step >= self._until and self._own is not None:
+            return choice
         if view.step not in self._choices:
             raise NotRecorded(f"The recorded raw input has no command for step {view.step}.")
         return self._choices[view.step]
@@ -218,6 +226,22 @@ class RecordedPolicy:
             skill, target = self.now[min(step, len(self.now) - 1)].tolist()
             action = Action(ALL_SKILLS[skill], target, len(self.now) + 1)
         return choice if choice is not None and choice[:2] == action[:2] else action
+
+
+def deciding_since(recording: Recording) -> list[int]:
+    """The step from which each agent's present policy has decided, and remembers.
+
+    Raises:
+        InputError: the info does not say that for each agent.
+    """
+    count = len(recording.agents)
+    try:
+        since = msgspec.convert(recording.episode.info.get("deciding_since", [0] * count), list[int])
+    except msgspec.ValidationError:
+        since = []
+    if len(since) != count or min(since) < 0:
+        raise InputError(f"Expected deciding_since in the info, a step for each of {count} agents.")
+    return since
 
 
 def recorded_choices(

@@ -23,6 +23,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene, pinhole
+from h3data.render.raster.hulls import may_see
 from h3data.render.renderer import Backend
 from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE, HUMAN_HEAD
 from h3data.scene import Mesh, Scene, Shape
@@ -198,16 +199,22 @@ class StateRenderer:
         return self.renderer.render_batch(cameras, worlds=worlds, outputs=outputs)
 
     def _show_person(self, agent: int, drawn: _Drawn, body: Humanoid, cameras: Sequence[Camera]) -> None:
-        """The light mesh where it will do for every camera, as in replays; each is skinned at most once per pose."""
+        """The light mesh where it will do for every camera, as in replays; each is skinned at most once per pose, and only
+        where one of its cameras may see it: skinning takes longer than the rest of a step."""
         joints = self._frames[agent]
         eyes = np.array([camera.pose[:3, 3] for camera in cameras]).reshape(-1, self.worlds, 3)
         apart = np.linalg.norm(joints[:, :, :3, 3] - eyes[:, :, None], axis=-1).min((0, 2))
         focal = max(camera.fx for camera in cameras)
         light = np.array([body.light_enough(focal, float(distance)) for distance in apart])
+        seen = np.zeros(self.worlds, np.bool_)
         for lod in (False, True):
-            for w in np.flatnonzero(light == lod).tolist():
-                self.renderer.set_visible(drawn.instances, [not lod, lod], world=w)
-            fresh = [w for w in np.flatnonzero(light == lod).tolist() if (agent, w, lod) not in self._shown]
+            rows = np.flatnonzero(light == lod)
+            bounds = body.bounds[int(lod)]
+            for w, own in zip(rows.tolist(), bounds.posed(joints[rows]), strict=True):
+                seen[w] = any(may_see(camera, own, bounds.radii, bounds.starts) for camera in cameras[w :: self.worlds])
+            for w in rows.tolist():
+                self.renderer.set_visible(drawn.instances, [seen[w] and not lod, seen[w] and lod], world=w)
+            fresh = [w for w in rows[seen[rows]].tolist() if (agent, w, lod) not in self._shown]
             if fresh:
                 for w, vertices in zip(fresh, body.skin(joints[fresh], lod=lod), strict=True):
                     self.renderer.set_vertices(drawn.meshes[int(lod)], vertices, world=w)

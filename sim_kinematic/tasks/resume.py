@@ -7,7 +7,7 @@ not give the recorded states bit for bit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -64,6 +64,8 @@ def task_of(recording: Recording) -> Task:
 def verify(recording: Recording) -> Verification:
     """Simulates what was recorded and compares every stored column, and the hash of the state, step by step.
 
+    Policies whose decisions are recorded are neither made nor asked.
+
     Bit for bit on one architecture; elsewhere the last bits of sines and square roots may differ.
 
     Raises:
@@ -73,7 +75,7 @@ def verify(recording: Recording) -> Verification:
     steps = len(recording)
     if not steps:
         return Verification(steps=0, difference=None)
-    own = _assigned(task, episode, recording, {}, strict=False)
+    own = _assigned(task, episode, recording, {}, strict=False, recorded=task.agents_with_recorded_decisions(recording))
     policies = task.recorded_policies(recording, episode, own, until=steps)
     played = _Played(
         task, episode, policies, recording, steps=steps, keeps_people=is_counterfactual(recording), since=steps
@@ -120,7 +122,8 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
     task, episode = _restored(recording)
     new = task.changed_policies(recording, chosen)
     assigned = _assigned(task, episode, recording, new, strict=True, keeps_people=keeps_people)
-    changed = [bool(_chosen_for(episode, k, new)) for k in range(len(assigned))]
+    named = task.recorded_names(recording)
+    changed = [one.name != name for one, name in zip(assigned, named, strict=True)]
     policies = task.recorded_policies(recording, episode, assigned, until=step, changed=changed)
     played = _Played(
         task, episode, policies, recording, steps=len(recording) if keeps_people else None, keeps_people=keeps_people,
@@ -214,13 +217,23 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
 
 
 def _assigned(
-    task: Task, episode: Episode, recording: Recording, new: dict[str, Any], *, strict: bool, keeps_people: bool = False
+    task: Task,
+    episode: Episode,
+    recording: Recording,
+    new: dict[str, Any],
+    *,
+    strict: bool,
+    keeps_people: bool = False,
+    recorded: Collection[int] = (),
 ) -> list[AssignedPolicy]:
-    """The policy of each agent: the one that is chosen, else the recording's own."""
+    """The policy of each agent: the one that is chosen, else the recording's own; none for those in ``recorded``."""
     named = task.recorded_names(recording)
     result = []
     for k, member in enumerate(episode.roster):
         choice = _chosen_for(episode, k, new)
+        if k in recorded:
+            result.append(AssignedPolicy(None, named[k], member.kind))
+            continue
         try:
             if choice is None:
                 with names_from_data():

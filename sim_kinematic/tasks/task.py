@@ -23,7 +23,7 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, commo
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign, check_policy, make_policy
 from sim_kinematic.policies.policy import Still, Velocity
-from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, recorded_commands
+from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, TaskSpec, rules_dict
 from sim_kinematic.tasks.play import Play, WorldPlay
 from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
@@ -355,6 +355,18 @@ class Task:
         del recording
         return chosen
 
+    def agents_with_recorded_decisions(self, recording: Recording) -> set[int]:
+        """Numbers of the agents whose every decision is recorded, so that verifying asks no policy of theirs."""
+        commanded = recorded_commands(recording, self.choice_from_json)
+        decided = {
+            k
+            for k, agent in enumerate(recording.agents)
+            if f"agent_{k}.action" in recording.columns and (agent.kind == "robot" or k in commanded)
+        }
+        # those who wander share how they heed each other, so that one of them who is asked needs the others asked too
+        wanderers = {k for k, name in enumerate(self.recorded_names(recording)) if name == "wander"}
+        return decided if wanderers <= decided else decided - wanderers
+
     def recorded_policies(
         self,
         recording: Recording,
@@ -369,10 +381,11 @@ class Task:
         A scripted person has no recorded decisions: its own policy decides again.
         """
         commands, policies = recorded_commands(recording, self.choice_from_json), []
-        for k, (member, assigned) in enumerate(zip(episode.roster, own, strict=True)):
+        for k, (member, assigned, since) in enumerate(zip(episode.roster, own, deciding_since(recording), strict=True)):
             policy = assigned.policy
             if member.kind == "robot" or k in commands:
-                policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy)
+                first = until if changed and changed[k] else min(since, until)
+                policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy, since=first)
             elif policy is None:
                 raise InputError(
                     f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
@@ -391,9 +404,8 @@ class Task:
         return [",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")]
 
     def continued_info(self, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """Further entries of a continued recording's info."""
-        del policies
-        return {}
+        """Further entries of a continued recording's info: since which step each agent's policy decides."""
+        return {"deciding_since": [getattr(assigned.policy, "since", 0) for assigned in policies]}
 
     def kept_info(self, recording: Recording, episode: Episode, play: Play) -> dict[str, Any]:
         """Entries that a continued recording takes over."""

@@ -582,7 +582,7 @@ def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: 
         (["--to", "gfx-replay", "-o", tmp_path / "a.txt"], ".json"),
         (["--to", "robomimic", "-o", tmp_path / "a.npz"], ".hdf5"),
         (["--to", "csv", "-o", tmp_path / "t", "--agent", "robot"], "--agent"),
-        (["--to", "csv", "-o", tmp_path / "t", "--light"], "--light"),
+        (["--to", "csv", "-o", tmp_path / "t", "--person-detail", "low"], "--person-detail"),
         (["--to", "robomimic", "-o", tmp_path / "t.hdf5", "--assets", tmp_path], "--assets"),
         (["--to", "gltf", "-o", tmp_path / "a.glb", "--camera", "orbit"], "--camera"),
         (["--to", "foxglove", "-o", tmp_path / "a.mcap"], ".foxglove.mcap"),
@@ -607,7 +607,21 @@ def test_an_exported_replay_is_imported_with_its_own_assets(
     folder = tmp_path / "replay"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    assert main(["export", str(tmp_path / "walk.mcap"), "--to", "gfx-replay", "--light", "-o", f"walk{ending}"]) == 0
+    assert (
+        main(
+            [
+                "export",
+                str(tmp_path / "walk.mcap"),
+                "--to",
+                "gfx-replay",
+                "--person-detail",
+                "low",
+                "-o",
+                f"walk{ending}",
+            ]
+        )
+        == 0
+    )
     capsys.readouterr()
     assert main(["import", f"walk{ending}", "-o", str(tmp_path / "out"), "--json"]) == 0
     assert "not found" not in capsys.readouterr().out

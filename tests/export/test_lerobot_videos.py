@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,15 @@ from h3data.errors import InputError
 from h3data.exporters import camera_videos, lerobot_export
 from h3data.exporters.camera_videos import render_videos
 from h3data.formats import ExportRequest
-from h3data.recording import Dataset, Recording
+from h3data.recording import Dataset, Recording, write_mcap
+from h3data.recording.parquet.lerobot import rebuild_meta
 from h3data.replay import Replay, camera_track
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
+from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.task import Task
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 CAMERAS = ("robot_arm", "human_head")
 OPTIONS = ("--episodes", "2", "--seed", "5", "--max-steps", "24", "--spawn-distance", "2")
@@ -49,7 +53,8 @@ def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
 
 def test_generated_videos_show_what_the_cameras_see(dataset: Dataset) -> None:
     recording = dataset[1]
-    replay = Replay(recording)
+    assert recording.episode.info["light"] == "baked"
+    replay = Replay(recording, light="baked")
     tracks = [camera_track(replay, name) for name in CAMERAS]
     frames = [list(dataset.video(1, name).frames()) for name in CAMERAS]
     assert [len(of) for of in frames] == [len(recording)] * 2
@@ -77,6 +82,23 @@ def test_workers_and_resuming_change_no_byte(
     assert run_json(capsys, *job, "--resume")["new"] == 0
     error = run_json(capsys, "generate", "social_nav", *OPTIONS, *cameras[:2], "-o", out, "--resume", code=2)["error"]
     assert "videos of robot_arm, human_head" in error
+
+
+def test_going_on_in_another_light_is_refused(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "ds"
+    shutil.copytree(str(dataset.root), out)
+    options = [
+        *OPTIONS,
+        *(word for name in CAMERAS for word in ("--camera", name)),
+        "--episodes",
+        "3",
+        "--light",
+        "flat",
+    ]
+    error = run_json(capsys, "generate", "social_nav", *options, "-o", out, "--resume", code=2)["error"]
+    assert "baked light. Hint: --light baked" in error
 
 
 def contents(root: Path) -> dict[str, bytes]:
@@ -191,3 +213,47 @@ def test_every_task_says_what_is_to_be_done() -> None:
 
 def replaced(name: str) -> str:
     return "".join(c for c in name.partition("|")[0].replace("_", " ") if not c.isdigit()).strip()
+
+
+def _short(steps: int) -> Recording:
+    home = build_home(HomeSpec(preset="small", seed=1))
+    return simulate_social_nav(social_nav_episode(home, seed=1, spec=SocialNavSpec(max_steps=steps)))
+
+
+def test_an_export_renders_in_the_light_of_the_dataset(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    recording = _short(4)
+    lights: list[str] = []
+
+    def rendered(*_: Any, light: str, **__: Any) -> list[Any]:
+        lights.append(light)
+        raise InputError("seen enough")
+
+    monkeypatch.setattr(camera_videos, "render_videos", rendered)
+    in_flat_light = replace(
+        recording, episode=replace(recording.episode, info={**recording.episode.info, "light": "flat"})
+    )
+    for made, stored in ((recording, ()), (in_flat_light, ()), (recording, ("human_head",))):
+        request = ExportRequest(out=tmp_path / "x", cameras=("robot_arm",), stored_cameras=stored)
+        with pytest.raises(InputError, match="seen enough"):
+            lerobot_export.export_lerobot([made], request)
+    assert lights == ["baked", "flat", "flat"]  # datasets of before, which do not say it, were rendered in flat light
+
+
+def test_light_of_exports_has_another_name_now(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    recording = _short(3)
+    low = h3data.export(
+        write_mcap(recording, tmp_path / "a.mcap"), tmp_path / "low.glb", to="gltf", person_detail="low"
+    )
+    assert not caplog.records
+    light = h3data.export(tmp_path / "a.mcap", tmp_path / "light.glb", to="gltf", light=True)
+    assert "--person-detail low" in caplog.text
+    assert low.read_bytes() == light.read_bytes()
+
+
+def test_exports_name_the_numbers_of_actions_and_states(tmp_path: Path) -> None:
+    lerobot_export.write_lerobot([_short(4)], tmp_path / "ds")
+    for again in (False, True):
+        features = json.loads((tmp_path / "ds/meta/info.json").read_text())["features"]
+        for name in ("action", "observation.state"):
+            assert len(features[name]["names"]) == features[name]["shape"][0], again
+        rebuild_meta(tmp_path / "ds")  # from the schema alone

@@ -198,9 +198,12 @@ def test_gltf_1_is_named(tmp_path: Path) -> None:
 
 def test_unknown_required_extensions_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     build = Builder()
-    build.document["extensionsRequired"] = ["KHR_texture_transform", "MAKER_hologram"]
+    build.document["extensionsRequired"] = ["KHR_texture_transform", "MAKER_materials_hologram"]
     assert len(build.mesh(tmp_path).faces) == 2
-    assert "['MAKER_hologram']" in caplog.text
+    assert "['MAKER_materials_hologram']" in caplog.text
+    build.document["extensionsRequired"] = ["MAKER_mesh_hologram"]
+    with pytest.raises(SceneError, match="MAKER_mesh_hologram, which is not read"):
+        build.mesh(tmp_path)
 
 
 def test_vertices_that_are_not_numbers(tmp_path: Path) -> None:

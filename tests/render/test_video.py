@@ -146,3 +146,11 @@ def test_bad_pictures_are_refused(tmp_path: Path):
     with pytest.raises(InputError, match="folder"):
         write_png(tmp_path / "no" / "a.png", np.zeros((4, 4), np.uint8))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["walk:1.mp4", "data:x", "file:x", "2026-11-27T10:30:05"])
+def test_a_relative_name_with_a_colon_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    with VideoWriter(name, 16, 16) as video:
+        video.write(np.zeros((16, 16, 3), np.uint8))
+    assert [path.name for path in tmp_path.iterdir()] == [name]

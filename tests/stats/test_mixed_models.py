@@ -282,3 +282,43 @@ def test_a_column_of_booleans_is_a_factor_and_a_response():
     fit = fit_glmm(table, "hit", "binomial", fixed=["c"], random=["p"])
     assert fit.fixed.names == ("(Intercept)", "c[True]")
     assert fit.fixed.levels == {"c": ("False", "True")}
+
+
+def always_alike(ones: int, zeros: int, rows: int, undecided: int = 0):
+    """People who answer 1 each time, who answer 0 each time, and who answer both in turn, under two conditions."""
+    people = np.repeat([f"p{k}" for k in range(ones + zeros + undecided)], rows)
+    turns = np.arange(undecided * rows) // 2 % 2
+    answers = np.concatenate([np.ones(ones * rows, int), np.zeros(zeros * rows, int), turns])
+    return {"y": answers, "person": people, "condition": np.tile(["a", "b"], len(people) // 2)}
+
+
+@pytest.mark.parametrize(
+    ("ones", "zeros", "rows", "undecided"), [(5, 5, 10, 0), (30, 10, 10, 0), (8, 4, 10, 1), (3, 1, 2, 0)]
+)
+@pytest.mark.parametrize("fixed", [[], ["condition"]])
+def test_people_who_always_answer_alike(ones, zeros, rows, undecided, fixed):
+    table = always_alike(ones, zeros, rows, undecided)
+    fit, flipped = (
+        fit_glmm(table | {"y": y}, "y", "binomial", fixed=fixed, random=["person"])
+        for y in (table["y"], 1 - table["y"])
+    )
+    assert fit.coefficients == pytest.approx(-flipped.coefficients, abs=1e-3)
+    assert fit.penalised
+    assert not fit.sound
+    assert "always alike: rows of the same person" in fit.to_text()
+    assert fit.deviations["person"] < 10
+    if ones == zeros:
+        assert fit.coefficients == pytest.approx(np.zeros(1 + len(fixed)), abs=1e-6)
+
+
+def test_people_who_succeed_in_all_trials_or_in_none_answer_alike():
+    table = {"y": [5, 0, 5, 0, 5, 0], "n": [5] * 6, "person": list("aabbcc"), "block": list("pqrpqr")}
+    fit = fit_glmm(table, "y", "binomial", fixed=[], random=["block"], trials="n")
+    assert not fit.penalised
+    table["y"] = [5, 5, 0, 0, 5, 5]
+    fit = fit_glmm(table, "y", "binomial", fixed=[], random=["person"], trials="n")
+    assert fit.penalised
+
+
+def test_people_who_differ_as_usual_are_not_penalised():
+    assert not any(stored_fit(name).penalised for name in FITS)

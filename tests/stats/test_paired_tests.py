@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from types import SimpleNamespace
 from typing import cast
@@ -56,10 +57,43 @@ def test_permutation_agrees_with_scipy_and_is_the_default():
     assert compare_paired(first, second, seed=0) == got
 
 
-def test_permutation_of_few_pairs_is_near_the_exact_share():
-    """All of 4 differences positive: 2 of 16 sign patterns are as extreme."""
-    got = compare_paired(dict.fromkeys("abcd", 2.0), {"a": 1.0, "b": 0.5, "c": 1.5, "d": 0.1}, method="permutation")
-    assert got.p == pytest.approx(2 / 16, abs=0.02)
+@pytest.mark.parametrize("pairs", range(2, 21, 3))
+@pytest.mark.parametrize("method", ["permutation", "wilcoxon"])
+def test_few_pairs_have_the_exact_p(pairs, method):
+    """All differences positive: 2 of 2^n patterns of signs are as extreme; equal ones, which tie, too."""
+    second = {str(k): 0.1 * k for k in range(pairs)}
+    for rise in (0.3, None):
+        first = {key: value + (rise or 1 + value) for key, value in second.items()}
+        for one, other in ((first, second), (second, first)):
+            assert compare_paired(one, other, method=method).p == pytest.approx(2 / 2**pairs, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_exact_p_is_that_of_all_patterns_of_signs(seed):
+    random = np.random.default_rng(seed)
+    d = random.choice([0, 0.1, 0.2, 0.3, -0.1, -0.3, *random.normal(size=2)], int(random.integers(3, 9)))
+    patterns = np.array(list(itertools.product([1, -1], repeat=len(d))))
+    names = [str(k) for k in range(len(d))]
+    got = compare_paired(dict(zip(names, d, strict=True)), dict.fromkeys(names, 0.0), method="permutation")
+    assert got.p == (np.abs(np.round(patterns @ d, 9)) >= abs(np.round(d.sum(), 9))).mean()
+    assert got.method == "exact permutation"
+
+
+def test_rounding_makes_no_sum_less_extreme():
+    """.1 + .2 - .3 is 0 in exact arithmetic, so every pattern is as extreme."""
+    d = {"a": 0.1, "b": 0.2, "c": -0.3}
+    assert compare_paired(d, dict.fromkeys(d, 0.0), method="permutation").p == 1
+
+
+def test_pairs_of_0_1_values_and_few_pairs_are_noted():
+    first, second = {str(k): float(k < 4) for k in range(12)}, {str(k): 0.0 for k in range(12)}
+    got = compare_paired(first, second)
+    assert got.p == 2 / 2**4
+    assert "of 12 pairs only the 4 that differ" in got.notes[0]
+    assert "no p below 0.125" in got.notes[1]
+    assert "mcnemar" in " ".join(compare_paired(first, second, method="t").notes)
+    assert not compare_paired(*runs()).notes
+    assert compare_paired({"a": 2.0, "b": 3.5}, {"a": 1.0, "b": 1.0}).notes[0].startswith("With 2 pairs")
 
 
 def test_wilcoxon():

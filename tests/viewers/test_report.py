@@ -350,6 +350,18 @@ def test_a_study_gives_estimated_means_and_contrasts(tmp_path: Path) -> None:
     assert "rearrange" not in {t.key for t in report.tables}, "people are no population"
 
 
+def test_rates_of_people_who_always_answer_alike_are_plain_shares(tmp_path: Path) -> None:
+    """Six of nine people touch the robot in every episode, the others in none."""
+    episodes = [
+        tidy(20 + k, condition=condition, participant=f"P{p}", hit=p < 6, solved=p >= 6)
+        for condition in ("complement", "plan_pop3") for p in range(9) for k in range(3)
+    ]  # fmt: skip
+    report = make_report([write(tmp_path / "ds", episodes)], pictures=0)
+    study = next(t for t in report.tables if t.key == "hitl")
+    assert [row.cells[0].text for row in study.sections[0].rows] == ["0.67 [0.48, 0.81]"] * 2
+    assert any("CR: plain shares" in note and "always alike" in note for note in study.notes)
+
+
 def dispersed_study(*, task: str = "rearrange") -> list[Recording]:
     """Steps that vary much more than Poisson allows, with every third robot episode ended by a contact at step 5."""
     random = np.random.default_rng(5)
@@ -416,6 +428,12 @@ def test_automatic_and_human_orders_stand_beside_each_other(tmp_path: Path) -> N
     rows = {row.name: row.cells for row in ranks.sections[0].rows}
     assert rows["TS"][0].value == rows["RE"][1].value == 1
     assert rows["RE"][2].text.startswith("learn_single")
+    means = {c: steps + 2.5 for c, steps in {"solo": 90, "learn_single": 50, "plan_pop3": 70}.items()}
+    of_people = dict(part.rsplit(" ", 1) for part in rows["RE"][3].text.split(", "))
+    measured = next(e.metrics.values["TS"] - 50 for e in report.data.episodes if e.condition == "learn_single")
+    for name in ("learn_single", "plan_pop3"):
+        want = 100 * (means["solo"] + measured) / (means[name] + measured)
+        assert float(of_people[name]) == pytest.approx(want, abs=0.02), "RE, no steps"
     assert "Automatic and human evaluation" in report.html
     assert "ranks_rearrange" not in {t.key for t in make_report([people], pictures=0).tables}
 

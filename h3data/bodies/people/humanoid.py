@@ -27,7 +27,16 @@ from h3data.bodies.people.clips import (
     sample_clips,
 )
 from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_NAMES, PARENT_ARRAY, PARENTS
-from h3data.bodies.people.skinning import Skin, apply_skin, build_skin, skin_chunks
+from h3data.bodies.people.skinning import (
+    FEW_FRAMES,
+    Skin,
+    SkinBounds,
+    apply_skin,
+    apply_skin_frames,
+    build_skin,
+    build_skin_bounds,
+    skin_chunks,
+)
 from h3data.geometry import Array, normalized
 from h3data.mesh.mesh import Mesh
 
@@ -191,8 +200,10 @@ class Humanoid:
     def skin(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
         """World vertices, float32 [..., V, 3], of joint frames [..., 55, 4, 4]: frames, worlds, or worlds and frames (one
         sparse matrix product)."""
-        part = self.lod if lod else self.full
-        return apply_skin(part.skin.points, joint_matrices @ self.inverse_bind)
+        skin, matrices = (self.lod if lod else self.full).skin, joint_matrices @ self.inverse_bind
+        if matrices.ndim == 4 and len(matrices) <= FEW_FRAMES:
+            return apply_skin_frames(skin.frame, matrices)
+        return apply_skin(skin.points, matrices)
 
     def skin_chunks(self, joint_matrices: Array, *, lod: bool = True) -> Iterator[tuple[slice, NDArray[np.float32]]]:
         """`skin` for long recordings: frames [t] of [T, 55, 4, 4] and their vertices [t, V, 3], some at a time."""
@@ -239,6 +250,15 @@ class Humanoid:
             [j for j, parent in enumerate(self.parents) if parent >= 0 and length[j] > 2 * BONE_PAD_M + 1e-3]
         )
         return np.array(self.parents)[end], end
+
+    @cached_property
+    def bounds(self) -> tuple[SkinBounds, SkinBounds]:
+        """Spheres that bound the full mesh and the light mesh in any pose, built at first use."""
+        full, light = (
+            build_skin_bounds(part.mesh.vertices, part.joints, part.weights, self.inverse_bind)
+            for part in (self.full, self.lod)
+        )
+        return full, light
 
     def light_enough(self, focal_px: float, distance_m: float) -> bool:
         """Whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,8 @@ from h3data.geometry import Array
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+FEW_FRAMES = 8
+"""Frames up to which `apply_skin_frames` is faster than `apply_skin`: 0.13 and 0.73 ms for one, equal for about ten."""
 CHUNK_FRAMES = 32
 """Frames per product: the palette and the result stay in the cache (the best of 1, 8, 32, 64, 256)."""
 
@@ -32,6 +36,90 @@ class Skin:
     """Float32 [V, 4J]."""
     normals: csr_array
     """The same with rest normals and no translation, float32 [V, 4J]."""
+
+    @cached_property
+    def frame(self) -> FrameOperator:
+        """``points`` for a single frame, built at first use."""
+        return build_frame_operator(self.points)
+
+
+class FrameOperator(NamedTuple):
+    """The rows of a sparse operator in groups with the same columns, so that all vertices of a group are summed side by side:
+    a frame of 24,741 vertices takes 0.13 ms, SciPy's product 0.72."""
+
+    rows: NDArray[np.int32]
+    """Row of the operator for each place here, shape [V]."""
+    row_starts: NDArray[np.int32]
+    """First place of each group, then V, shape [G + 1]."""
+    columns: NDArray[np.int32]
+    """Columns of all groups, one after another."""
+    column_starts: NDArray[np.int32]
+    """First of each group's columns, then their number, shape [G + 1]."""
+    values: NDArray[np.float32]
+    """Entries group by group, column by column, vertex by vertex."""
+
+
+def build_frame_operator(operator: csr_array) -> FrameOperator:
+    """Group the rows of ``operator`` [V, 4J] by their columns."""
+    groups: dict[bytes, list[int]] = {}
+    starts: Any = operator.indptr
+    for row, (begin, end) in enumerate(pairwise(starts.tolist())):
+        groups.setdefault(operator.indices[begin:end].astype(np.int32).tobytes(), []).append(row)
+    columns = [np.frombuffer(key, np.int32) for key in groups]
+    at = [starts[rows] + np.arange(len(own))[:, None] for rows, own in zip(groups.values(), columns, strict=True)]
+    return FrameOperator(
+        rows=np.concatenate([np.array(rows, np.int32) for rows in groups.values()]),
+        row_starts=np.cumsum([0, *map(len, groups.values())], dtype=np.int32),
+        columns=np.concatenate(columns),
+        column_starts=np.cumsum([0, *map(len, columns)], dtype=np.int32),
+        values=np.concatenate([np.asarray(operator.data, np.float32)[places].ravel() for places in at]),
+    )
+
+
+class SkinBounds(NamedTuple):
+    """Spheres that bound a skinned mesh in any pose. The vertices that move with the same joints are one group; moved by one of
+    these joints alone, they stay in one sphere, so skinned they lie in the convex hull of the group's spheres."""
+
+    joints: NDArray[np.intp]
+    """Joint that moves each sphere, shape [K]."""
+    centers: Array
+    """Centres in the frames of their joints, shape [K, 3] [m]."""
+    radii: Array
+    """Radii, shape [K] [m]."""
+    starts: NDArray[np.intp]
+    """First sphere of each group, shape [G], then K."""
+
+    def posed(self, frames: Array) -> Array:
+        """Return the world centres [..., K, 3] of the spheres for joint ``frames`` [..., J, 4, 4]."""
+        from h3data.bodies.people.kernels.skin import pose_centers
+
+        flat = np.ascontiguousarray(frames, np.float64).reshape(-1, *frames.shape[-3:])
+        out = np.empty((len(flat), len(self.joints), 3))
+        pose_centers(flat, self.joints, self.centers, out)
+        return out.reshape(*frames.shape[:-3], *out.shape[1:])
+
+
+def build_skin_bounds(
+    vertices: NDArray[np.float32], joints: NDArray[np.integer], weights: NDArray[np.float32], inverse_bind: Array
+) -> SkinBounds:
+    """Bound a mesh, from its rest ``vertices`` [V, 3], its ``joints`` and ``weights`` [V, 4] and the rest frame of the mesh
+    seen from each joint, ``inverse_bind`` [J, 4, 4]."""
+    used = np.sort(np.where(weights > 0, joints.astype(np.int64), -1), axis=1)
+    used[:, 1:][used[:, 1:] == used[:, :-1]] = -1
+    sets, group_of = np.unique(np.sort(used, axis=1), axis=0, return_inverse=True)
+    middles, radii = np.ones((len(sets), 4)), np.zeros(len(sets))
+    for group in range(len(sets)):
+        own = vertices[group_of.reshape(-1) == group].astype(np.float64)
+        middles[group, :3] = (own.min(0) + own.max(0)) / 2
+        radii[group] = np.linalg.norm(own - middles[group, :3], axis=1).max()
+    group, column = np.nonzero(sets >= 0)
+    moving = sets[group, column]
+    return SkinBounds(
+        joints=moving,
+        centers=(inverse_bind[moving] @ middles[group][:, :, None])[:, :3, 0],
+        radii=radii[group],
+        starts=np.flatnonzero(np.diff(group, prepend=-1, append=len(sets))),
+    )
 
 
 def build_skin(
@@ -78,6 +166,18 @@ def apply_skin(operator: csr_array, matrices: Array) -> NDArray[np.float32]:
     for start in range(0, len(flat), CHUNK_FRAMES):
         out[start : start + CHUNK_FRAMES] = _product(operator, flat[start : start + CHUNK_FRAMES], joint_count)
     return out.reshape(*lead, vertex_count, 3)
+
+
+def apply_skin_frames(operator: FrameOperator, matrices: Array) -> NDArray[np.float32]:
+    """Skinned points, float32 [T, V, 3], of bind-to-world ``matrices`` [T, J, 4, 4], frame by frame; equal to `apply_skin` to
+    the bit, and faster for up to `FEW_FRAMES`."""
+    from h3data.bodies.people.kernels.skin import frame_product
+
+    palettes = np.ascontiguousarray(matrices[:, :, :3].transpose(0, 1, 3, 2), np.float32)
+    out = np.empty((len(matrices), len(operator.rows), 3), np.float32)
+    for palette, points in zip(palettes.reshape(len(matrices), -1, 3), out, strict=True):
+        frame_product(operator, palette, points)
+    return out
 
 
 def skin_chunks(operator: csr_array, matrices: Array) -> Iterator[tuple[slice, NDArray[np.float32]]]:

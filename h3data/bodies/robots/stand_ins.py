@@ -1,5 +1,4 @@
-"""Boxes that stand in for meshes of a robot that are missing or cannot be read (Collada without pycollada), so that a URDF
-by itself can be played and shown.
+"""Boxes that stand in for meshes of a robot that are missing, so that a URDF by itself can be played and shown.
 
 A link's own collision shapes stand in for its visuals and the other way round. A link that has neither gets a box from its
 origin to the joints of its children, at least as large as the box with its mass and moments of inertia.
@@ -9,13 +8,11 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 
-from h3data.bodies.robots.urdf import Urdf, UrdfLink, UrdfPart, mesh_files, missing_meshes
+from h3data.bodies.robots.urdf import Urdf, UrdfLink, UrdfPart, missing_meshes
 from h3data.bodies.robots.urdf_parts import UrdfGeometry
-from h3data.mesh.trimesh_files import COLLADA_HINT
 
 log = logging.getLogger(__name__)
 
@@ -26,24 +23,18 @@ REACH_M = 0.6
 
 
 def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
-    """Returns a URDF of meshes that exist and can be read, and the names of the links whose shapes are all their own.
+    """Returns a URDF of meshes that exist, and the names of the links whose shapes are all their own.
 
     Warns, naming the other files. Where no link at all has collision shapes, visuals become those.
     """
     missing = missing_meshes(urdf.links)
-    unreadable = [] if find_spec("collada") else [f for f in mesh_files(urdf.links) if f.suffix.lower() == ".dae"]
-    if unreadable:
-        log.warning(
-            "%s: boxes stand in for %d Collada mesh file(s) (%s). %s. File: %s",
-            *(urdf.name, len(unreadable), unreadable[0].name, COLLADA_HINT, urdf.path),
-        )
     if missing:
         named = ", ".join(str(path) for path in missing[:3]) + (", ..." if len(missing) > 3 else "")
         log.warning(
             "%s: boxes stand in for %d missing mesh file(s) (%s). Hint: keep the folder of the URDF whole. File: %s",
             *(urdf.name, len(missing), named, urdf.path),
         )
-    there = [_without(link, {*missing, *unreadable}) for link in urdf.links]
+    there = [_without(link, set(missing)) for link in urdf.links]
     has_collisions = any(link.collisions for link in urdf.links)
     links = []
     for link, (visuals, collisions) in zip(urdf.links, there, strict=True):

@@ -5,7 +5,7 @@ and fixed joints, mimic, and the spherical joints that Bullet and Habitat add to
 colours, inertial origins. Read with a warning, as by Bullet and ROS: a lower limit above the upper one (no limit), vectors of
 too many numbers, floating and planar joints (held in place), mimics of joints that cannot lead (they move on their own).
 Refused: xacro (expand it first), DOCTYPE and entities (they can read other files or blow up), other joint types, joints that
-do not make one tree, meshes that lie far outside the folder of the URDF.
+do not make one tree, meshes by paths that climb out of their package or far above the URDF.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import numpy as np
 
@@ -123,11 +124,8 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
     path = Path(path)
     robot = _parse(path)
     issues = UrdfIssues()
-    materials = {
-        m.get("name", ""): color
-        for m in robot.findall("material")
-        if (color := read_color(m.find("color"), issues)) is not None
-    }
+    materials = _materials(robot, issues)
+    _warn_of_skipped(robot, issues)
     count = len(robot.findall("link"))
     if count > MAX_LINKS:
         raise FormatError(f"Expected a URDF of at most {MAX_LINKS} links, got {count}. File: {path}")
@@ -149,6 +147,29 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
     return Urdf(name=robot.get("name", path.stem), path=path, root=root, links=links, joints=joints)
 
 
+def _materials(robot: ElementTree.Element, issues: UrdfIssues) -> dict[str, tuple[int, int, int]]:
+    """Colours by name: those of the robot, then those first given inside links, which other links may name before or after."""
+    colors: dict[str, tuple[int, int, int]] = {}
+    unheard = UrdfIssues()  # materials inside links are read, and warned of, with their links
+    for element, heard in (
+        *((m, issues) for m in robot.findall("material")),
+        *((m, unheard) for m in robot.findall("link/visual/material")),
+    ):
+        color = read_color(element.find("color"), heard)
+        if color is not None and (name := element.get("name", "")):
+            colors.setdefault(name, color)
+    return colors
+
+
+def _warn_of_skipped(robot: ElementTree.Element, issues: UrdfIssues) -> None:
+    """Warns of what stands for no link, joint or colour, and of textures, which are not read."""
+    skipped = Counter(e.tag for e in robot if e.tag not in ("link", "joint", "material"))
+    skipped["texture"] += sum(1 for m in robot.iter("material") if m.find("texture") is not None)
+    named = ", ".join(f"<{tag[:40]}>" + (f" ({n})" if n > 1 else "") for tag, n in skipped.items() if n)
+    if named:
+        issues.warnings.append(f"left out: {named[:300]}")
+
+
 def _parse(path: Path) -> ElementTree.Element:
     if not path.is_file():
         raise InputError(f"Expected a URDF file, found none there: {path}")
@@ -157,26 +178,40 @@ def _parse(path: Path) -> ElementTree.Element:
             f"Expected a URDF of at most {MAX_BYTES >> 20} MiB, got {path.stat().st_size >> 20}. File: {path}"
         )
     text = path.read_bytes().strip(b"\0 \t\r\n")  # Bullet's own robots have blank lines before and a NUL at the end
+    # As tinyxml does: comments may stand before the declaration and hold two dashes. No "<!--" of the head is left open.
+    head, close, tail = text.removeprefix(b"\xef\xbb\xbf").rpartition(b"-->")
+    text = (re.sub(rb"<!--.*?-->", b" ", head + close, flags=re.DOTALL) + tail).strip()
     if re.search(rb"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE) or b"\0" in text:
         raise FormatError(
             f"A URDF with a DOCTYPE, entities or UTF-16 is refused. Hint: save it as plain UTF-8. File: {path}"
         )
     try:
-        robot = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
+        robot = _elements(text)
+    except (expat.ExpatError, ValueError, LookupError) as error:
         raise FormatError(f"Expected URDF, this is not well-formed XML ({error}). File: {path}") from error
-    if any("xacro" in e.tag.lower() and _local(e.tag) in _XACRO for e in robot.iter()):
+    bound = (item for e in robot.iter() for item in e.attrib.items())
+    xacro = {"xacro", *(key.partition(":")[2] for key, value in bound if key.startswith("xmlns") and "xacro" in value)}
+    names = [e.tag.rpartition(":") for e in robot.iter()]
+    if any(prefix in xacro and name in _XACRO for prefix, _, name in names):
         raise FormatError(f"This is xacro, not URDF. Hint: expand it first (xacro in.xacro > out.urdf). File: {path}")
+    common = robot.tag.rpartition(":")[0]  # some exporters give one prefix to all elements; others are extensions
     for element in robot.iter():
-        element.tag = _local(element.tag)
+        prefix, _, name = element.tag.rpartition(":")
+        element.tag = name if prefix == common else element.tag
     if robot.tag != "robot":
         raise FormatError(f"Expected URDF with the root element <robot>, got <{robot.tag}>. File: {path}")
     return robot
 
 
-def _local(tag: str) -> str:
-    """The name of an element without its namespace, which some exporters give to all of them."""
-    return tag.rpartition("}")[2]
+def _elements(text: bytes) -> ElementTree.Element:
+    """XML as elements whose prefixes are part of their names, so that they need no declaration."""
+    builder = ElementTree.TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = lambda tag, attributes: builder.start(tag, attributes)
+    parser.EndElementHandler = lambda tag: builder.end(tag)
+    parser.CharacterDataHandler = lambda data: builder.data(data)
+    parser.Parse(text, True)
+    return builder.close()
 
 
 def mesh_files(links: Iterable[UrdfLink]) -> list[Path]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import glob
 import os
+import re
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
+from urllib.parse import unquote
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,6 +21,9 @@ from h3data.geometry import Array
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".off")
 """Kinds of files that a URDF may name; nothing else is ever opened for it."""
 MAX_PATH = 1024
+MAX_LEVELS = 7
+"""The folder of the URDF and those above it in which packages are looked for."""
+CLIMBS = "expected a path that climbs at most two folders above the URDF"
 PLANE_SIDE_M = 30.0
 PLANE_THICKNESS_M = 0.1
 
@@ -120,7 +127,11 @@ def read_inertia(element: ElementTree.Element | None) -> NDArray[np.float64] | N
 def read_color(element: ElementTree.Element | None, issues: UrdfIssues) -> tuple[int, int, int] | None:
     if element is None:
         return None
-    values = read_numbers(element.get("rgba"), 4, (0.5, 0.5, 0.5, 1.0), "color", issues)
+    text = element.get("rgba")
+    if text is not None and len(text.replace(",", " ").split()) == 3:
+        issues.warnings.append(f"color: expected 4 numbers, got 3 ({text[:40]}), read as opaque")
+        text += " 1"
+    values = read_numbers(text, 4, (0.5, 0.5, 0.5, 1.0), "color", issues)
     red, green, blue = (int(round(255 * min(max(v, 0.0), 1.0))) for v in values[:3])
     return red, green, blue
 
@@ -147,7 +158,7 @@ def read_parts(
 def _geometry(element: ElementTree.Element | None, folder: Path, where: str, issues: UrdfIssues) -> UrdfGeometry | None:
     shape = None if element is None or not len(element) else element[0]
     if shape is None:
-        issues.faults.append(f"{where}: it has no geometry")
+        issues.warnings.append(f"{where}: it has no geometry, it is left out")
         return None
 
     def number(name: str) -> float:
@@ -175,6 +186,8 @@ def _geometry(element: ElementTree.Element | None, folder: Path, where: str, iss
             if not (sx and sy and sz):
                 issues.faults.append(f"{where}, scale: expected no zero, got {sx:g} {sy:g} {sz:g}")
             file = _mesh_path(shape.get("filename", ""), folder, where, issues)
+            if file is None:
+                return None
             return UrdfGeometry(kind="mesh", file=file, scale=(sx, sy, sz))
     issues.faults.append(f"{where}: expected box, cylinder, sphere, capsule, plane or mesh, got {shape.tag}")
     return None
@@ -195,33 +208,122 @@ def _plane_frame(element: ElementTree.Element, where: str, issues: UrdfIssues) -
 
 
 def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> Path | None:
-    """Where a mesh lies: relative to the URDF; of ``package://name/rest`` the rest is tried here and two folders up.
+    """Where a mesh lies: relative to the URDF, or in the package of that name (`_packages`); None with a fault or a warning.
 
-    Two folders up is also as far as a path may climb, and it must end as meshes do. An absolute path, which some other
-    machine had, is looked for beside the URDF by the file's name alone.
+    Backslashes, percent signs that stand for characters, and other case on disk are read as meant. A relative path climbs at
+    most two folders above the URDF, and one in a package stays inside it. An absolute path of another machine is looked
+    for by its tail, the longest first, in the folders above the URDF.
     """
-    scheme, _, rest = filename[:MAX_PATH].rpartition("://")
-    above = list(Path(os.path.abspath(folder)).parents)[:2]
-    above = [p for p in above if p != p.parent] or [Path(os.path.abspath(folder))]  # never the root of the disk
-    file = folder / rest
-    if scheme == "package":
-        rest = rest.partition("/")[2]
-        file = next((base / rest for base in (folder, *above) if (base / rest).is_file()), folder / rest)
-    elif not Path(os.path.abspath(file)).is_relative_to(above[-1]) and Path(rest).is_absolute():
-        file = folder / Path(rest).name
-        issues.warnings.append(
-            f"{where}: {filename[:80]!r} is a path of another machine, expected {file.name} beside the URDF"
-        )
+    if not filename.strip():
+        issues.warnings.append(f"{where}: its mesh has no file name, it is left out")
+        return None
+    scheme, _, rest = filename[:MAX_PATH].strip().replace("\\", "/").rpartition("://")
+    scheme = scheme.lower()
+    here = Path(os.path.abspath(folder))
+    above = [p for p in (here, *here.parents) if p != p.parent][:MAX_LEVELS] or [here]  # never the root of the disk
+    top = above[min(2, len(above) - 1)]
     fault = None
-    if scheme not in ("", "file", "package"):
+    if scheme not in ("", "file", "package", "model"):
         fault = "expected the path of a file"
     elif len(filename) > MAX_PATH:
         fault = f"expected at most {MAX_PATH} characters"
-    elif not Path(os.path.abspath(file)).is_relative_to(above[-1]):
-        fault = "expected a path that climbs at most two folders above the URDF"
-    elif not filename.lower().endswith(MESH_SUFFIXES):
+    file = folder / rest
+    if fault is None and scheme in ("package", "model"):
+        name, _, inner = rest.partition("/")
+        found = _packages(unquote(name), above)
+        bases = found or above[:3]
+        if not all(
+            _inside(Path(os.path.abspath(b / t)), b if found else top) for b in bases for t in _spellings(inner)
+        ):
+            fault = "expected a path that stays in its package" if found else CLIMBS
+        else:
+            file = next((f for base in bases if (f := _on_disk(base, inner)) is not None), bases[0] / inner)
+            if not found and file.is_file():
+                issues.warnings.append(f"{where}: there is no package {name!r}, {file} is taken for {filename[:80]!r}")
+    elif fault is None:
+        drive = rest[1:3] == ":/"
+        if drive or (rest.startswith("/") and not _inside(Path(os.path.abspath(file)), top)):
+            file = _by_tail(rest, folder, above)
+            issues.warnings.append(f"{where}: {filename[:80]!r} is a path of another machine, {file} is taken for it")
+        elif not all(_inside(Path(os.path.abspath(folder / t)), top) for t in _spellings(rest)):
+            fault = CLIMBS
+        else:
+            file = _on_disk(folder, rest) or file
+    if fault is None and not rest.lower().endswith(MESH_SUFFIXES):
         fault = f"expected one of {', '.join(MESH_SUFFIXES)}"
     if fault is None:
         return file
     issues.faults.append(f"{where}, filename: {fault}, got {filename[:80]!r}")
     return None
+
+
+def _inside(file: Path, folder: Path) -> bool:
+    return file.is_relative_to(folder)
+
+
+def _spellings(path: str) -> tuple[str, ...]:
+    """A path as it is written and with ``%20`` and the like decoded."""
+    decoded = unquote(path).replace("\0", "")
+    return (path,) if decoded == path else (path, decoded)
+
+
+def _on_disk(base: Path, path: str) -> Path | None:
+    """The file at ``path`` below ``base``, by the spelling on disk if only case or the form of accents differs."""
+    for text in _spellings(path):
+        if (base / text).is_file():
+            return base / text
+    for text in _spellings(path):
+        at = base
+        for part in Path(text).parts:
+            step = at / part
+            if part != ".." and not step.exists() and at.is_dir():
+                alike = [p for p in at.iterdir() if _folded(p.name) == _folded(part)]
+                step = alike[0] if len(alike) == 1 else step
+            at = step
+        if at.is_file():
+            return at
+    return None
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def _by_tail(path: str, folder: Path, above: list[Path]) -> Path:
+    """The file that ends as a foreign path does, in the folders above; by its name alone only beside the URDF."""
+    parts = [p for p in path.split("/") if p]
+    if ".." not in _spellings(path)[-1].split("/"):
+        for start in range(len(parts) - 1):
+            for base in above:
+                if (file := _on_disk(base, "/".join(parts[start:]))) is not None:
+                    return file
+    return _on_disk(folder, parts[-1]) or folder / parts[-1]
+
+
+def _packages(name: str, above: list[Path]) -> list[Path]:
+    """Folders of the package of a name, nearest first: above the URDF, beside these, and where ROS looks.
+
+    A package is named by the ``<name>`` of its ``package.xml``, or else by its folder.
+    """
+    if not name or name in (".", "..") or "/" in name or "\0" in name:
+        return []
+    found: list[Path] = []
+    for base in above:
+        found += [p for p in (base, base / name) if p.is_dir() and _package_name(p) == name]
+    ros = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
+    ros += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    found += [q for p in ros for q in (p, p / name) if q.is_dir() and _package_name(q) == name]
+    if not found:  # folders of another name, and groups of packages
+        for base in (*above[:4], *ros):
+            found += sorted(p.parent for p in base.glob("*/package.xml") if _package_name(p.parent) == name)
+            found += sorted(p for p in base.glob(f"*/{glob.escape(name)}") if p.is_dir() and _package_name(p) == name)
+    return [Path(os.path.abspath(p)) for p in dict.fromkeys(found)]
+
+
+def _package_name(folder: Path) -> str:
+    manifest = folder / "package.xml"
+    if not manifest.is_file():
+        return folder.name
+    with manifest.open("rb") as file:
+        match = re.search(rb"<name>\s*([^<\s]+)\s*</name>", file.read(1 << 16))
+    return match[1].decode(errors="replace") if match else folder.name

@@ -284,6 +284,10 @@ class _Analyser:
         except H3DataError as fault:
             self.notes.append(f"{metric.name}: plain shares, as no mixed model could be fitted: {fault}")
             return None
+        if fitted.fit.penalised:
+            why = next(note for note in fitted.fit.notes if note.startswith("always alike")).partition(" A penalty")[0]
+            self.notes.append(f"{metric.name}: plain shares, as a mixed model has no finite estimate: {why}")
+            return None
         self.notes.append(f"Model of {metric.name}: {fitted.fit.formula}, {fitted.fit.rows} rows.")
         self.notes += [f"{metric.name}: {without_hint(note)}" for note in fitted.fit.notes]
         estimates |= self.from_means(metric, fitted.means)

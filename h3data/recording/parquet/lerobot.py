@@ -21,7 +21,7 @@ from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_files, write_a
 from h3data.recording.parquet.moments import Moments, lerobot_stats, merge_into, unpack_moments
 from h3data.recording.parquet.schema import STANDARD, DatasetSchema
 from h3data.recording.parquet.videos import MAX_FILE_BYTES
-from h3data.recording.schema import layout_hash
+from h3data.recording.schema import Column, layout_hash
 from h3data.recording.storage import AnyPath, RemotePath, place, readable
 
 FILE_MB = 128
@@ -102,12 +102,18 @@ def rebuild_meta(root: str | os.PathLike[str] | RemotePath) -> int:
 def _features(schema: DatasetSchema) -> dict[str, dict[str, Any]]:
     """``features`` of info.json: every column of the data files, as LeRobot requires, and the videos."""
     ours: dict[str, dict[str, Any]] = {
-        c.name: {"dtype": schema.stored_dtype(c), "shape": [c.width], "names": _POSE7 if c.shape == (7,) else None}
+        c.name: {"dtype": schema.stored_dtype(c), "shape": [c.width], "names": _names(schema, c)}
         for c in schema.columns
         if c.width
     }
     standard = {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in STANDARD.items()}
     return ours | standard | {video.key: video.lerobot(schema.fps) for video in schema.videos}
+
+
+def _names(schema: DatasetSchema, column: Column) -> list[str] | None:
+    if column.name in schema.names:
+        return list(schema.names[column.name])
+    return _POSE7 if column.shape == (7,) else None
 
 
 def _tasks_parquet(tasks: Mapping[str, int]) -> bytes:

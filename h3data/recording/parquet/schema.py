@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Self
 
 import numpy as np
@@ -88,6 +88,8 @@ class DatasetSchema:
     """Schema version of the whole dataset, also of files added to it later."""
     videos: tuple[VideoFeature, ...] = ()
     """Cameras of which every episode has a video."""
+    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names of the numbers in a column, by column, where an export to LeRobot knows them."""
 
     def stored_dtype(self, column: Column) -> str:
         """The dtype of a column in the data files: since version 1.2 a uint64 is an int64 of the same bits.
@@ -103,6 +105,8 @@ class DatasetSchema:
         values |= {"fps": self.fps, "robot_type": self.robot_type, "conventions": CONVENTIONS, "columns": columns}
         if self.videos:
             values["videos"] = [asdict(video) for video in self.videos]
+        if self.names:
+            values["names"] = dict(self.names)
         return json.dumps(values, indent=1, ensure_ascii=False).encode()
 
     @classmethod
@@ -120,7 +124,9 @@ class DatasetSchema:
             fps, robot, version = int(values["fps"]), str(values["robot_type"]), values["schema_version"]
             version_numbers(version)
             videos = tuple(VideoFeature(**video) for video in values.get("videos", ()))
-            return cls(columns=layout_from_json(text), fps=fps, robot_type=robot, version=version, videos=videos)
+            columns = layout_from_json(text)
+            names = {str(name): tuple(map(str, each)) for name, each in dict(values.get("names", {})).items()}
+            return cls(columns=columns, fps=fps, robot_type=robot, version=version, videos=videos, names=names)
         except FileNotFoundError:
             raise FormatError(f"Expected a dataset of h3data, there is no {path.name}: {path}") from None
         except (OSError, KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:

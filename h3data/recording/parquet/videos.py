@@ -150,7 +150,7 @@ class VideoAppender:
                 if self._container is None:
                     options = {"movflags": "+faststart"}
                     self._container = self._stack.enter_context(
-                        av.open(str(self.part), "w", format="mp4", options=options)
+                        av.open(os.path.abspath(self.part), "w", format="mp4", options=options)
                     )
                     self._stream = self._container.add_stream_from_template(packet.stream)
                     self._settings = bytes(packet.stream.codec_context.extradata or b"")
@@ -220,7 +220,7 @@ def _opened(path: AnyPath, stack: ExitStack) -> Any:
     import av
 
     try:
-        source: Any = str(path) if isinstance(path, Path) else stack.enter_context(open_binary(path))
+        source: Any = os.path.abspath(path) if isinstance(path, Path) else stack.enter_context(open_binary(path))
         container = stack.enter_context(av.open(source))
     except FileNotFoundError:
         raise FormatError(f"A video of the dataset is missing: {path}") from None

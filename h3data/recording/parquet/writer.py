@@ -277,9 +277,12 @@ class DatasetWriter:
 
     def _declare(self, examples: Iterable[Recording]) -> None:
         """Fixes the columns of the dataset so that all of these recordings fit; without any, does nothing."""
-        layouts, robots = [], []
+        layouts, robots, named = [], [], []
         for recording in examples:  # may be a generator: one recording in memory at a time
             layouts.append(layout_of(recording.columns))
+            about = recording.episode.info.get("lerobot")
+            told = about.get("names") if isinstance(about, dict) else None
+            named.append(told if isinstance(told, dict) else {})
             robots += [a.model or a.name for a in recording.agents if a.kind == "robot"]
         if not layouts:
             return
@@ -288,7 +291,16 @@ class DatasetWriter:
         faults += [f"{c.name!r} is reserved by LeRobot" for c in columns if c.name in STANDARD]
         if faults:
             raise InputError(f"Columns that a LeRobot dataset cannot have: {'; '.join(faults)}. Rename them.")
-        schema = DatasetSchema(columns=columns, fps=self._fps, robot_type=robots[0] if robots else "none")
+        widths = {c.name: c.width for c in columns}
+        names = {
+            name: tuple(each)
+            for name, each in named[0].items()
+            if isinstance(each, list)
+            and widths.get(name) == len(each)
+            and all(other.get(name) == each for other in named)
+        }
+        robot = robots[0] if robots else "none"
+        schema = DatasetSchema(columns=columns, fps=self._fps, robot_type=robot, names=names)
         write_atomic(self.root / "h3" / "schema.json", schema.to_json())
         self._claim()
         self._schema = schema

@@ -30,6 +30,8 @@ class Clusters(NamedTuple):
     """Centres of the bounding boxes, shape [C, 3] [m]."""
     half: NDArray[np.float64]
     """Half sizes of the bounding boxes, shape [C, 3] [m]."""
+    corners: NDArray[np.uint32]
+    """Mesh vertex of each corner of every lane, shape [P, 3, 8]; padding lanes collapse to a vertex of their cluster."""
 
 
 def build_clusters(
@@ -49,10 +51,12 @@ def build_clusters(
         starts = np.concatenate([plain_starts[:-1], cut_starts + np.int32(len(plain))])
     triangles, first = _lanes(order, starts)
     count = len(first) - 1
+    corners = _corners(faces, triangles, first)
     packets = np.zeros((len(triangles), 9, 8), np.float32)
     center, half = np.zeros((count, 3)), np.zeros((count, 3))
-    fill_packets(vertices, faces, triangles, first, packets, center, half)
-    return Clusters(packets, triangles, first, center, half)
+    fill_packets(vertices, corners, packets)
+    fill_boxes(vertices, corners.reshape(-1), 24 * first, center, half)
+    return Clusters(packets, triangles, first, center, half, corners)
 
 
 @kernel()
@@ -137,26 +141,59 @@ def _lanes(order, starts):
     return triangles, first
 
 
-@kernel(boundscheck=False)
-def fill_packets(vertices, faces, triangles, first, packets, center, half):
-    """Fills packets [P, 9, 8] and boxes [C, 3] for vertices [V, 3]; deformed meshes keep their clusters."""
+@kernel()
+def _corners(faces, triangles, first):
+    """`Clusters.corners`. Unsigned, since kernels need not ask whether an index counts from the end: half the time."""
+    corners = np.empty((len(triangles), 3, 8), np.uint32)
     for c in range(len(first) - 1):
-        corner = faces[triangles[first[c], 0], 0]  # padding lanes collapse to this vertex
-        x0 = x1 = vertices[corner, 0]
-        y0 = y1 = vertices[corner, 1]
-        z0 = z1 = vertices[corner, 2]
+        fallback = faces[triangles[first[c], 0], 0]
         for p in range(first[c], first[c + 1]):
             for lane in range(8):
                 triangle = triangles[p, lane]
                 for k in range(3):
-                    v = faces[triangle, k] if triangle >= 0 else corner
-                    x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-                    packets[p, 3 * k, lane] = x
-                    packets[p, 3 * k + 1, lane] = y
-                    packets[p, 3 * k + 2, lane] = z
-                    x0, x1 = min(x0, x), max(x1, x)
-                    y0, y1 = min(y0, y), max(y1, y)
-                    z0, z1 = min(z0, z), max(z1, z)
+                    corners[p, k, lane] = faces[triangle, k] if triangle >= 0 else fallback
+    return corners
+
+
+def cluster_vertices(clusters: Clusters) -> tuple[NDArray[np.uint32], NDArray[np.int32]]:
+    """List the vertices of each cluster once, for meshes that deform: a fifth of their corners.
+
+    Returns:
+        Vertices of all clusters one after another, and the first of each cluster, followed by their number [C + 1].
+    """
+    sizes = np.diff(clusters.first)
+    cluster = np.repeat(np.arange(len(sizes), dtype=np.int64), 24 * sizes)
+    pairs = np.unique((cluster << 32) | clusters.corners.reshape(-1).astype(np.int64))
+    starts = np.searchsorted(pairs >> 32, np.arange(len(sizes) + 1)).astype(np.int32)
+    return (pairs & 0xFFFFFFFF).astype(np.uint32), starts
+
+
+@kernel(boundscheck=False)
+def fill_packets(vertices, corners, packets):
+    """Fills packets [P, 9, 8] for vertices [V, 3]; deformed meshes keep their clusters."""
+    for p in range(len(corners)):
+        for k in range(3):
+            for lane in range(8):
+                v = corners[p, k, lane]
+                packets[p, 3 * k, lane] = vertices[v, 0]
+                packets[p, 3 * k + 1, lane] = vertices[v, 1]
+                packets[p, 3 * k + 2, lane] = vertices[v, 2]
+
+
+@kernel(boundscheck=False)
+def fill_boxes(vertices, members, starts, center, half):
+    """Fills boxes [C, 3] around the vertices of each cluster: ``members[starts[c] : starts[c + 1]]``."""
+    for c in range(len(starts) - 1):
+        v = members[starts[c]]
+        x0 = x1 = vertices[v, 0]
+        y0 = y1 = vertices[v, 1]
+        z0 = z1 = vertices[v, 2]
+        for i in range(starts[c], starts[c + 1]):
+            v = members[i]
+            x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+            x0, x1 = min(x0, x), max(x1, x)
+            y0, y1 = min(y0, y), max(y1, y)
+            z0, z1 = min(z0, z), max(z1, z)
         center[c, 0], half[c, 0] = (float(x0) + float(x1)) / 2, (float(x1) - float(x0)) / 2 + 1e-6
         center[c, 1], half[c, 1] = (float(y0) + float(y1)) / 2, (float(y1) - float(y0)) / 2 + 1e-6
         center[c, 2], half[c, 2] = (float(z0) + float(z1)) / 2, (float(z1) - float(z0)) / 2 + 1e-6

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from h3data.render.camera import Camera
 from h3data.render.outputs import Poses, picture_arrays
-from h3data.render.raster.clusters import enclosing_box, fill_packets, smooth_normals
+from h3data.render.raster.clusters import enclosing_box, fill_boxes, fill_packets, smooth_normals
 from h3data.render.raster.raster import Placement, Target, View, new_target, rasterise, reach_of
 from h3data.render.raster.raster_read import read_depth, read_ids, read_parallel_depth, read_triangles
 from h3data.render.scene import RenderScene
@@ -209,7 +209,8 @@ class World:
         part, clusters = scene.parts[mesh], scene.cluster_range(mesh)
         packets = geometry.own_packets[scene.own_packet_range(mesh)]
         center, half = geometry.center[clusters], geometry.half[clusters]
-        fill_packets(vertices, scene.meshes[mesh].faces, part.triangles, part.first, packets, center, half)
+        fill_packets(vertices, part.corners, packets)
+        fill_boxes(vertices, *scene.members[mesh], center, half)
         geometry.mesh_center[mesh], geometry.mesh_half[mesh] = enclosing_box(center, half)
         if mesh in scene.groups:
             self._stale_normals.add(mesh)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 
 from h3data.errors import InputError
-from h3data.formats import ExportRequest, Format, export_format, export_options, load
+from h3data.formats import ExportRequest, Format, PersonDetail, export_format, export_options, load
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, common_cameras
@@ -30,6 +31,8 @@ from h3data_pipelines.command import (
 )
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.hub.provenance import command_line, read_commands, write_commands
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,10 @@ class Export:
     """Whose actions are learned, for lerobot and robomimic (default: the first robot that acts)."""
     assets: tuple[Path, ...] = ()
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS)."""
+    person_detail: PersonDetail = "full"
+    """Meshes of people for gfx-replay and gltf: full has 19,000 vertices, low 3,000."""
     light: bool = False
-    """Take the light meshes of people (3,000 vertices instead of 19,000), for gfx-replay and gltf."""
+    """Deprecated: use --person-detail low."""
     people: PeopleOption = "skin"
     camera: tuple[str, ...] = ()
     """Camera to add as a video, for foxglove and lerobot: a name as in rerender, or a .toml or .json file; repeatable.
@@ -74,9 +79,15 @@ class Export:
 
     def run(self) -> Outcome:
         form = export_format(self.to)
-        for option in ("agent", "assets", "light", "people", "camera"):
-            if getattr(self, option) not in (None, False, (), "skin") and option not in form.write_options:
-                raise InputError(f"--{option} is not for {form.option}, but for {_formats_with(option)}. Leave it out.")
+        if self.light:
+            log.warning("--light of h3data export is deprecated and will be removed. Use --person-detail low.")
+        detail = "low" if self.light else self.person_detail
+        given = {option: getattr(self, option) for option in ("agent", "assets", "people", "camera")}
+        for option, value in {**given, "person_detail": detail}.items():
+            if value not in (None, (), "skin", "full") and option not in form.write_options:
+                raise InputError(
+                    f"--{option.replace('_', '-')} is not for {form.option}, but for {_formats_with(option)}. Leave it out."
+                )
         recordings: Iterable[Recording]
         sources: list[StoredEpisode] = []
         if form.many:
@@ -91,7 +102,7 @@ class Export:
             force=self.force,
             agent=self.agent,
             assets=self.assets,
-            light=self.light,
+            person_detail=detail,
             people=self.people,
             cameras=self.camera,
             stored_cameras=common_cameras(sources) if "camera" in form.write_options else (),

@@ -154,8 +154,9 @@ class Generate:
     camera: tuple[str, ...] = ()
     """Camera whose video is added to the dataset (observation.images.<name>), as in rerender; repeatable."""
     people: PeopleOption = "skin"
-    light: LightOption = "flat"
-    """Of the videos. flat is what policies see whose cameras are rendered as they act."""
+    light: LightOption = "baked"
+    """Of the videos. Policies and environments that render cameras as they act
+    see flat light: use flat for what is to learn for them."""
     workers: int = 1
     """Processes."""
     executor: ExecutorOption = "local"
@@ -254,6 +255,8 @@ class Generate:
     def _simulate(self, jobs: Sequence[Job], writer: DatasetWriter, executor: Executor) -> None:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
         played = first_played(writer)
+        if played is not None and self.camera and (light := played.episode.info.get("light", "flat")) != self.light:
+            raise InputError(f"The videos of {self.out} are in {light} light. Hint: --light {light}")
         waiting: list[Filmed] = []
         uncommitted, failures = 0, 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")

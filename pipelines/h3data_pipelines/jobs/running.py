@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import InputError
@@ -35,10 +35,13 @@ def simulate_job(job: Job) -> Recording:
 
 def _with_job(recording: Recording, job: Job) -> Recording:
     """The recording with what it was made of."""
-    info = {**recording.episode.info, "job": job.to_json()}
-    if job.origin is not None:
-        info["origin"] = job.origin
-    return replace(recording, episode=replace(recording.episode, info=info))
+    origin = {} if job.origin is None else {"origin": job.origin}
+    return with_info(recording, job=job.to_json(), **origin)
+
+
+def with_info(recording: Recording, **entries: Any) -> Recording:
+    """The recording with further entries of its info."""
+    return replace(recording, episode=replace(recording.episode, info={**recording.episode.info, **entries}))
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Filming:
     threads: int
     """Threads that render, in each process."""
     people: PeopleStyle = "skin"
-    light: LightMode = "flat"
+    light: LightMode = "baked"
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,7 @@ def film_job(job: Job, filming: Filming) -> Filmed:
             )
         except InputError as error:
             raise InputError(f"Episode {job.index}: {error}") from None
+        recording = with_info(recording, light=filming.light)
         return Filmed(recording, tuple((video, Path(str(video.path)).read_bytes()) for video in videos))
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import secrets
 import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -18,6 +19,9 @@ from h3data.terminal import counted
 from h3data_pipelines.command import JsonFlag, Outcome, keeping
 from h3data_pipelines.commands.serving import require_aiohttp, say, started_server
 from h3data_pipelines.studies.running import keep_design, running
+
+if TYPE_CHECKING:
+    from h3data_viewers.hitl.study.design import Design
 
 AT_ONCE_EACH = 5
 """Participants at once for each process that simulates: more only wait for each other."""
@@ -54,7 +58,8 @@ class StudyBots:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        from h3data_viewers.hitl.study.files import make_plan, read_design, study_folder
+        from h3data_viewers.hitl.study.files import bots_folder, make_plan, read_design, study_folder, with_id_pattern
+        from h3data_viewers.hitl.study.pseudonyms import ANY
 
         require_aiohttp("h3data study bots")
         design = read_design(self.study)
@@ -72,13 +77,13 @@ class StudyBots:
             folder = None
             asyncio.run(crowd.take_part(self.link.rstrip("/") + "/", episodes))
         else:
-            folder = study_folder(self.study, design)
-            folder = folder.with_name(folder.name + "-bots")
+            folder = bots_folder(study_folder(self.study, design))
             with running(folder), keeping(lambda: f"everything in {folder}; the same command goes on with it"):
-                keep_design(folder, design)
+                design = keep_design(folder, with_id_pattern(design, ANY))
                 plan = make_plan(design, folder, speed=self.speed)
+                crowd.known = known_bots(folder, design, count)
                 say(f"Bots play {design.name}, version {design.version}, in {folder}. Setting up its conditions ...")
-                options = {"study": plan, "stays": True, "workers": self.workers, "seats_per_address": crowd.at_once}
+                options = {"study": plan, "stays": True, "workers": self.workers, "seats_per_address": count}
                 with started_server(options) as (links, reports):
                     late = Late(reports)
                     asyncio.run(crowd.take_part(links[0][1], episodes))
@@ -102,6 +107,29 @@ class StudyBots:
         return Outcome(text="\n".join(lines), data=data, exit_code=int(crowd.faults > 0), result=folder)
 
 
+def bot_name(k: int) -> str:
+    """Return the name of bot ``k``, from 0."""
+    return f"bot-{k + 1:03d}"
+
+
+def known_bots(folder: Path, design: Design, count: int) -> dict[str, tuple[str, str]]:
+    """Return the status of each bot that has begun before, and the code by which it goes on without its cookie."""
+    from h3data_viewers.hitl.study.files import key_file, open_store
+    from h3data_viewers.hitl.study.pseudonyms import read_key, recruit_ids, rejoin_code
+    from h3data_viewers.hitl.study.store import DATABASE
+
+    known: dict[str, tuple[str, str]] = {}
+    if not (folder / DATABASE).is_file():
+        return known
+    store, key = open_store(folder, design), read_key(key_file(folder))
+    for name in map(bot_name, range(count)):
+        person = store.by_id(recruit_ids({"PROLIFIC_PID": name}, key)["PROLIFIC_PID"])
+        seat = None if person is None else store.seat_of(person)
+        if person is not None and seat is not None:
+            known[name] = person.progress.status, rejoin_code(person.id, seat.token, key)
+    return known
+
+
 @dataclass
 class Crowd:
     """Scripted participants, some at once."""
@@ -112,6 +140,9 @@ class Crowd:
     ends: Counter[str] = field(default_factory=Counter)
     faults: int = 0
     slipped: int = 0
+    known: dict[str, tuple[str, str]] | None = None
+    """Of those who have begun before, by name: their status, and the code by which they go on. None: a served study, which
+    asks for ids of its own form."""
 
     async def take_part(self, link: str, episodes: int) -> None:
         """Lets all of them take part.
@@ -135,8 +166,15 @@ class Crowd:
         from aiohttp import ClientError
 
         from h3data_viewers.hitl.bots.participant import ScriptedParticipant
+        from h3data_viewers.hitl.study.flow import ACTIVE
 
-        async with places, ScriptedParticipant(link, f"bot-{k + 1:03d}", ended) as bot:
+        name = bot_name(k)
+        status, rejoin = (self.known or {}).get(name, (ACTIVE, ""))
+        if status != ACTIVE:
+            self.statuses[status] += 1
+            return
+        pid = secrets.token_hex(12) if self.known is None else name
+        async with places, ScriptedParticipant(link, name, ended, pid=pid, rejoin=rejoin) as bot:
             try:
                 self.statuses[await bot.take_part()] += 1
             except (ConnectionError, TimeoutError, ClientError) as fault:

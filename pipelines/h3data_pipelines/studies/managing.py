@@ -6,14 +6,17 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
 from h3data.errors import InputError, did_you_mean
 from h3data.terminal import counted
 from h3data_pipelines.command import DryRunFlag, JsonFlag, Outcome
-from h3data_pipelines.studies.running import running
+from h3data_pipelines.studies.running import LOCK, running
+
+if TYPE_CHECKING:
+    from h3data_viewers.hitl.study.store import StudyStore
 
 REPORT = "report"
 """Folder below that of a study: what ``study report`` has made."""
@@ -22,6 +25,9 @@ REPORT = "report"
 @dataclass(frozen=True)
 class StudyStatus:
     """Show how far a study's participants are, condition by condition; also while it is running.
+
+    For everybody who is under way there is a link that lets them go on in another browser, once. Send it only to the person
+    themselves: whoever opens it has their place.
 
     Examples:
         h3data study status study.toml
@@ -37,8 +43,25 @@ class StudyStatus:
         from h3data_viewers.hitl.study.overview import overview
 
         folder, design = open_study(self.study)
-        data = overview(design, open_store(folder, design))
+        store = open_store(folder, design)
+        data = {**overview(design, store), "rejoin": _rejoin_links(folder, store)}
         return Outcome(text=_status_text(data), data=data, result=data)
+
+
+def _rejoin_links(folder: Path, store: StudyStore) -> dict[str, str]:
+    """Link by which each participant who is under way goes on in another browser; without its host while nothing runs."""
+    from h3data_viewers.hitl.study.files import key_file
+    from h3data_viewers.hitl.study.pseudonyms import read_key, rejoin_code
+
+    if not key_file(folder).is_file():
+        return {}
+    key, lock, links = read_key(key_file(folder)), folder / LOCK, {}
+    base = lock.read_text("utf-8") if lock.is_file() else ""
+    for person in sorted(store.participants.values(), key=lambda p: p.number):
+        seat = store.seat_of(person)
+        if person.is_active and seat is not None:
+            links[person.id] = f"{base}?rejoin={rejoin_code(person.id, seat.token, key)}"
+    return links
 
 
 def _status_text(data: dict[str, Any]) -> str:
@@ -65,6 +88,11 @@ def _status_text(data: dict[str, Any]) -> str:
             times = [f"{p['late']:.2%}", f"{p['minutes']:.0f}", now]
             lines.append([who, str(p["place"]), status, done, str(p["practice"]), *counts, *times])
         blocks.append(aligned(lines))
+    if data["rejoin"]:
+        lines = [
+            "To go on in another browser, once (for the participant alone; behind a proxy with its address in front):"
+        ]
+        blocks.append("\n".join(lines + [f"  {who}  {link}" for who, link in data["rejoin"].items()]))
     if data["overdue"]:
         blocks.append(f"The retention date, {data['retention']}, is over: recordings and answers are to be deleted.")
     return "\n\n".join(blocks)

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from h3data.errors import InputError
-from h3data.files import part_file
+from h3data.files import part_file, spreadsheet_cell
+from h3data.recording.records import STEP_NS
 from h3data.terminal import counted
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, write_text
 from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 from h3data_pipelines.studies.managing import REPORT
 
 if TYPE_CHECKING:
+    from h3data.metrics import EpisodeMetrics
     from h3data_viewers.hitl.study.design import Design
+    from h3data_viewers.hitl.study.overview import PlayedEpisode
     from h3data_viewers.hitl.study.store import Participant
+    from h3data_viewers.html_report.report_episode import ReportEpisode
     from h3data_viewers.html_report.report_tables import Table
 
 
@@ -31,7 +37,8 @@ class StudyReport:
     """Write the report of a study: the paper's table, its contrasts, questionnaires.
 
     CR, TS, RC and RE with mixed models and post-hoc comparisons, as in Habitat 3.0; episodes during which the machine was too
-    slow are left out, and counted. Writes report.html, study.json and answers.csv.
+    slow are left out, and counted. Writes report.html, study.json, answers.csv and trials.csv with a row for each episode;
+    all but report.html also where no episode can be used.
 
     Examples:
         h3data study report study.toml
@@ -62,23 +69,37 @@ class StudyReport:
         folder, design = open_study(self.study)
         people = finished(list(open_store(folder, design).participants.values()), everybody=self.everybody)
         files, left_out = usable_recordings(folder, design, people)
-        model = StudyModel(steps=self.model, failed=self.failed)
-        table = measure_files(files)
-        notes = [f"{counted(count, 'episode')} left out: {why}." for why, count in left_out.items()]
-        notes += _bots(people)
-        try:
-            analysis = analyse_study(table.episodes, find_profile(table.profile, table.episodes[0].task), model)
-            text, found = analysis.to_text(), analysis.to_dict()
-        except InputError as fault:  # one condition, or one participant: there is nothing to compare
-            text, found = table.to_text(), None
-            notes.append(f"No comparison of conditions: {str(fault).partition(' Hint:')[0]}")
         out = folder / REPORT if self.out is None else self.out
         claim_folder(out, force=self.force or self.out is None)
-        forms = _forms_table(design, people)
-        title = f"{design.name}, version {design.version}" + (" (scripted participants)" if _bots(people) else "")
-        write_report(
-            files, out / "report.html", title=title, pictures=self.pictures, study=model, more=[forms] if forms else []
-        )
+        # before anything is measured: what people have answered does not hang on how their episodes went
+        write_rows(out / "answers.csv", answer_rows(design, people, free_text=self.free_text))
+        write_rows(out / "trials.csv", trial_rows(folder, design, people, []))
+        notes = [f"{counted(count, 'episode')} left out: {why}." for why, count in left_out.items()]
+        notes += _bots(people)
+        model, page = StudyModel(steps=self.model, failed=self.failed), out / "report.html"
+        text, found = "", None
+        try:
+            table = measure_files(files) if files else None
+        except InputError as fault:
+            table = None
+            notes.append(f"No table of the episodes: {fault}")
+        if table is not None:
+            write_rows(out / "trials.csv", trial_rows(folder, design, people, table.episodes))
+            try:
+                analysis = analyse_study(table.episodes, find_profile(table.profile, table.episodes[0].task), model)
+                text, found = analysis.to_text(), analysis.to_dict()
+            except InputError as fault:  # one condition, or one participant: there is nothing to compare
+                text = table.to_text()
+                notes.append(f"No comparison of conditions: {str(fault).partition(' Hint:')[0]}")
+            forms = _forms_table(design, people)
+            title = f"{design.name}, version {design.version}" + (" (scripted participants)" if _bots(people) else "")
+            write_report(
+                files, page, title=title, pictures=self.pictures, study=model, more=[forms] if forms else [],
+                folder=folder,
+            )  # fmt: skip
+        else:
+            page.unlink(missing_ok=True)  # of an earlier report
+            notes.append("No report.html: it needs an episode that can be used.")
         means, differences = form_means(design, people)
         data = {
             "study": design.name,
@@ -90,9 +111,8 @@ class StudyReport:
             "notes": notes,
         }
         write_text(out / "study.json", json.dumps(_plain(data), indent=2) + "\n")
-        with part_file(out / "answers.csv") as part, part.open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows(answer_rows(design, people, free_text=self.free_text))
-        blocks = [text, _forms_text(means, differences), "\n".join(notes), f"{out / 'report.html'}"]
+        made = [out / name for name in ("answers.csv", "trials.csv", "study.json")] + [page] * (table is not None)
+        blocks = [text, _forms_text(means, differences), "\n".join(notes), "\n".join(map(str, made))]
         return Outcome(text="\n\n".join(filter(None, blocks)), data={**data, "out": str(out)}, result=out)
 
 
@@ -101,7 +121,7 @@ class StudyCompare:
     """Put the order of partners by people beside that by automatic evaluation.
 
     For the claim that ends the paper: do both put the robots in the same order? Conditions are matched with the robots of
-    h3data evaluate by the name of their policy.
+    h3data evaluate by the name of their policy; files of weights by their digest, whatever they are called.
 
     Examples:
         h3data evaluate rearrange --policies complement,same_object --keep -o out/zsc
@@ -120,21 +140,21 @@ class StudyCompare:
         from h3data_viewers.hitl.study.files import open_store, open_study
         from h3data_viewers.html_report.report_data import gather
         from h3data_viewers.html_report.report_ranks import rank_table
-        from h3data_viewers.html_report.report_study import studied
         from h3data_viewers.html_report.report_tables import to_markdown
 
         folder, design = open_study(self.study)
         people = finished(list(open_store(folder, design).participants.values()), everybody=self.everybody)
-        files, _ = usable_recordings(folder, design, people)
+        files, left_out = usable_recordings(folder, design, people)
+        if not files:
+            raise InputError(f"No episode of people can be used: {dict(left_out) or 'none has been played'}.")
         policies = [c.partner for c in design.conditions if c.partner and not c.is_solo]
         data = gather([*files, self.automatic])
-        runs = [
-            replace(run, episodes=tuple(_by_policy(e) for e in run.episodes))
-            for run in data.runs
-        ]  # fmt: skip
+        stamped = any(e.policy.startswith("weights:") for e in data.episodes)
+        names = _shipped() if stamped else {}
+        runs = [replace(run, episodes=_by_policy(run.episodes, names)) for run in data.runs]
         tables = [t for task in data.tasks if (t := rank_table([run for run in runs if run.task == task])) is not None]
         if not tables:
-            automatic = sorted({e.policy or run.name for run in runs for e in run.episodes if not studied(e)})
+            automatic = sorted({e.policy or run.name for run in runs for e in run.episodes if not e.studied})
             raise InputError(
                 f"Expected two or more policies that are both in the study ({', '.join(policies) or 'none'}) and in "
                 f"the automatic evaluation ({', '.join(automatic) or 'none'}). Hint: h3data evaluate rearrange --policies "
@@ -162,33 +182,89 @@ def finished(people: Sequence[Participant], *, everybody: bool) -> list[Particip
 
 
 def usable_recordings(folder: Path, design: Design, people: Sequence[Participant]) -> tuple[list[Path], Counter[str]]:
-    """Recordings of participants whose episodes can be used, and why how many others are left out.
-
-    Raises:
-        InputError: there are none.
-    """
-    from h3data_viewers.hitl.study.orders import recording_path
-    from h3data_viewers.hitl.study.overview import played, usable
+    """Recordings of participants whose episodes can be used, and why how many others are left out."""
+    from h3data_viewers.hitl.study.overview import played
 
     files: list[Path] = []
     left_out: Counter[str] = Counter()
     for person in people:
         for episode in played(person):
-            path = recording_path(folder, person.id, episode.row)
-            why = usable(design, episode) or ("" if path.is_file() else "the recording is missing")
+            path, why = _recorded(folder, design, episode)
             if why:
                 left_out[why] += 1
             else:
                 files.append(path)
-    if not files:
-        raise InputError(f"There is no episode to report on: {dict(left_out) or 'none has been played'}.")
     return files, left_out
 
 
-def _by_policy(episode: Any) -> Any:
-    """The episode, its condition called by the robot's policy; files of weights by their name and digest, wherever they lie."""
-    policy = re.sub(r"^weights:.*/", "weights:", episode.policy)
-    return replace(episode, policy=policy, condition=policy or episode.condition if episode.condition else "")
+def _recorded(folder: Path, design: Design, episode: PlayedEpisode) -> tuple[Path, str]:
+    """Where an episode is recorded, and why it cannot be used; empty: it can."""
+    from h3data_viewers.hitl.study.orders import recording_path
+    from h3data_viewers.hitl.study.overview import usable
+
+    path = recording_path(folder, episode.participant, episode.row)
+    return path, usable(design, episode) or ("" if path.is_file() else "the recording is missing")
+
+
+def trial_rows(
+    folder: Path, design: Design, people: Sequence[Participant], measured: Sequence[EpisodeMetrics]
+) -> list[list[str | float]]:
+    """A row for each episode that was played, used or not, with a header.
+
+    ``order`` counts a participant's episodes, ``block`` their conditions and ``trial`` the episodes of a block, all from 1;
+    ``ended_at`` is in UTC, ``late_steps`` were due before the machine could play them. The metrics of ``measured``
+    come last, empty where they are undefined.
+    """
+    from h3data_viewers.hitl.study.overview import is_bot, played
+
+    found = {(m.participant, m.condition, m.episode_id): m.values for m in measured}  # nobody plays an episode twice
+    metrics = list(dict.fromkeys(name for values in found.values() for name in values))
+    head = ["participant", "bot", "order", "block", "trial", "condition", "partner", "scene", "episode", "ended_at"]
+    rows: list[list[str | float]] = [
+        [*head, "seconds", "ended", "steps", "late_steps", "left_out", "recording", *metrics]
+    ]
+    for person in people:
+        for number, e in enumerate(played(person), 1):
+            block = person.progress.place.blocks[e.block - 1]
+            path, why = _recorded(folder, design, e)
+            when = datetime.fromtimestamp(person.times[e.row], UTC).isoformat(timespec="seconds")
+            values = found.get((person.id, e.condition, str(block.episodes[e.trial - 1])), {})
+            rows.append(
+                [person.id, int(is_bot(person)), number, e.block, e.trial, e.condition,
+                 design.condition(e.condition).partner or "", block.scene, block.episodes[e.trial - 1], when,
+                 round(e.steps * STEP_NS * 1e-9, 3), e.ended, e.steps, e.slipped, why,
+                 str(path.relative_to(folder)) if path.is_file() else "",
+                 *("" if (v := values.get(name, math.nan)) != v else float(v) for name in metrics)]
+            )  # fmt: skip
+    return rows
+
+
+def write_rows(path: Path, rows: Sequence[Sequence[str | float]]) -> None:
+    """A CSV file of rows, of which no spreadsheet runs a cell."""
+    with part_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([spreadsheet_cell(cell) for cell in row] for row in rows)
+
+
+_STAMPED = re.compile(r"weights:(?:.*/)?(?P<file>[^/]+)@(?P<digest>[0-9a-f]{12})")
+
+
+def _by_policy(episodes: Sequence[ReportEpisode], names: dict[str, str]) -> tuple[ReportEpisode, ...]:
+    """The episodes, their conditions called by the robots' policies, and the same weights alike, whatever their files are
+    called and wherever they lie; ``names`` has the name of each digest that was met before."""
+    found = []
+    for e in episodes:
+        policy = e.policy
+        if stamp := _STAMPED.fullmatch(policy):
+            policy = names.setdefault(stamp["digest"], f"weights:{stamp['file']}@{stamp['digest']}")
+        found.append(replace(e, policy=policy, condition=policy or e.condition if e.condition else ""))
+    return tuple(found)
+
+
+def _shipped() -> dict[str, str]:
+    """Names of the policies of the package by the digest of their weights."""
+    from sim_kinematic.policies.learned import SHIPPED, network_of
+
+    return {network_of(name).digest[:12]: name for name in SHIPPED}
 
 
 def _bots(people: Sequence[Participant]) -> list[str]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import tyro
 
 from h3data.errors import InputError
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from h3data_viewers.hitl.study.design import Design
 
 LOCK = ".running"
+"""File of a study's folder that its server holds; it has the participants' link in it."""
 
 
 @dataclass(frozen=True)
@@ -98,25 +100,30 @@ class StudyRun:
         folder = study_folder(self.study, design)
         plan = make_plan(design, folder, speed=self.speed)
         with running(folder):
-            keep_design(folder, design)
+            plan = msgspec.structs.replace(plan, design=keep_design(folder, design))
             say(f"Study {design.name}, version {design.version}, in {folder}. Setting up its conditions ...")
             options = {"study": plan, "stays": True, "workers": self.workers, **serving}
             options["seats_per_address"] = self.seats_per_address
             with keeping(lambda: f"everything in {folder}; the same command goes on with it"):
-                run_server(options, self._heard)
+                run_server(options, lambda report: self._heard(report, folder))
         return Outcome(text=f"Everything is in {folder}.", data={"folder": str(folder)}, result=folder)
 
-    def _heard(self, report: dict[str, Any]) -> None:
+    def _heard(self, report: dict[str, Any], folder: Path) -> None:
         if "refused" in report:
             raise InputError(report["refused"])
         if "ready" in report:
             link = report["ready"]["links"][0][1]
+            (folder / LOCK).write_text(link)
             say(f"Participants open: {link}")
             say("Ctrl-C stops the study; who has begun goes on where they were when it is started again.")
             if not self.no_browser:
                 webbrowser.open(link)
         elif "joined" in report:
             say(f"{report['joined']['participant']} takes part.")
+        elif "released" in report:
+            say(
+                f"{report['released']['participant']} is gone before the check of the computer; the place is free again."
+            )
         elif "ended" in report:
             ended = report["ended"]
             because = f" ({ended['reason']})" if ended["reason"] else ""
@@ -129,27 +136,35 @@ class StudyRun:
             say("A worker process ended; another one takes over.")
 
 
-def keep_design(folder: Path, design: Design) -> None:
-    """Keeps the study file's content with what is recorded under it.
+def keep_design(folder: Path, design: Design) -> Design:
+    """Keeps the study file's content with what is recorded under it. The formats of ids may change at any time; a study that
+    began before there were any goes on without.
+
+    Returns:
+        What is to be served.
 
     Raises:
         InputError: the folder holds recordings under another content.
     """
-    import msgspec
-
-    from h3data_viewers.hitl.study.files import DESIGN_FILE, open_store, open_study
+    from h3data_viewers.hitl.study.files import DESIGN_FILE, open_store, open_study, with_id_pattern
+    from h3data_viewers.hitl.study.pseudonyms import ANY
     from h3data_viewers.hitl.study.store import DATABASE
 
     kept = folder / DESIGN_FILE
-    if kept.is_file() and (folder / DATABASE).is_file() and (before := open_study(folder)[1]) != design:
+    if kept.is_file() and (folder / DATABASE).is_file():
+        before = open_study(folder)[1]
         people = len(open_store(folder, before).participants)
-        if people:
+        if people and design.recruiting.id_pattern is None:
+            recruiting = msgspec.json.decode(kept.read_bytes())["recruiting"]
+            design = with_id_pattern(design, recruiting.get("id_pattern", ANY))
+        if people and before != with_id_pattern(design, before.recruiting.id_pattern):
             raise InputError(
                 f"The file has changed since {counted(people, 'participant')} took part. Expected what is in {kept}. Undo "
                 "the change, or give the study another version, which gets a folder of its own."
             )
     with part_file(kept) as part:
         part.write_bytes(msgspec.json.format(msgspec.json.encode(design), indent=2))
+    return design
 
 
 @contextmanager
@@ -160,11 +175,15 @@ def running(folder: Path) -> Iterator[None]:
         InputError: another one does.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOCK).open("w") as lock:
+    with (folder / LOCK).open("a") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise InputError(
                 f"The study is running in another process. Stop that first (Ctrl-C; participants go on later): {folder}"
             ) from None
-        yield
+        lock.truncate(0)
+        try:
+            yield
+        finally:
+            (folder / LOCK).write_text("")

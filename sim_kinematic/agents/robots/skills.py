@@ -127,6 +127,7 @@ class RobotActor(RobotDriver):
         state, robot, rules = self.objects.state, self.robot, ArmSpec(grasp_m=self.grip_m)
         action = checked_command(command, robot)
         self.command = float(action[0]), float(action[1])
+        self.yields = False  # whoever gives commands hears nobody ask: the others get past as past furniture
         self._choose_base()
         drive_robots(self.state, self.free, action[None, :2], self.base)
         move_arms(self.state, robot, action[None, 2:-1], rules)

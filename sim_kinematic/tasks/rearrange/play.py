@@ -32,10 +32,11 @@ from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import common_floor, kinds_of
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.avoidance.stand_offs import Errand
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
@@ -70,6 +71,8 @@ DTYPES: dict[str, type] = {
 """dtypes of the columns of a step; those of agents without ``agent_<i>.``."""
 TRACK = 31
 """Past positions of the other agent that a policy sees, the present one included."""
+IDLE_SKILLS = ("wait", CONTROL, *PRIMITIVES)
+"""Skills by whose end an agent has completed nothing."""
 CHOICES = 9
 """So many skills that end at once an agent may choose in one step, then it does nothing."""
 
@@ -91,6 +94,8 @@ class AgentRun:
     ending: Ending | None = None
     skill: Skill | None = None
     begun: int = 0
+    completed: int = 0
+    """Skills that it has completed, but for waiting and commands."""
     _driven_since: int = -1
     """First step of the commands that a driven person has followed without a skill in between; -1: they follow none."""
 
@@ -141,6 +146,7 @@ class AgentRun:
         if self.skill is not None:
             self.skill.close()  # one that is interrupted folds the arm
         self.skill, self.ending = None, ending
+        self.completed += ending is not None and ending.outcome == "done" and self.action.skill not in IDLE_SKILLS
         self.actor.path, self.actor.yields = NO_PATH, True
         if self.action.skill == CONTROL and isinstance(self.actor, DrivenPerson):
             # one span for a whole drive: 30 a second were 8% of the CPU of a step
@@ -245,7 +251,8 @@ class RearrangePlay:
             if oracle is None
             else DiscContacts(world.roster, self.actors, oracle.person_radius_m)
         )
-        self.right_of_way = None if alone else RightOfWay(world.free, self.actors)
+        heeds = len(self.actors) > 1 and oracle is None and (not is_pair or bool(world.spec.people_give_way))
+        self.right_of_way = RightOfWay(world.free, self.actors, self.errand, asks=not alone) if heeds else None
         for actor in self.actors:
             actor.agreed, actor.openables = not alone, self.openables
             actor.meets = partial(self.encounters.meets, actor)
@@ -448,6 +455,26 @@ class RearrangePlay:
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
             barrier=partial(self.barrier, me),
         )  # fmt: skip
+
+    def errand(self, number: int) -> Errand:
+        """What an agent is about now."""
+        runner = self.runner(number)
+        skill, k = runner.action[:2]
+        driven = isinstance(runner.actor, DrivenPerson) or skill in (CONTROL, *PRIMITIVES)
+        busy = runner.skill is not None and skill not in IDLE_SKILLS
+        return Errand(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
+
+    def _left_m(self, runner: AgentRun) -> float:
+        """Length of the path to the object, goal or handle to which an agent is going [m]; infinite: it goes nowhere."""
+        skill, k = runner.action[:2]
+        if runner.skill is None or not skill.startswith("nav"):
+            return math.inf
+        if skill == "nav_to_handle":
+            assert self.openables is not None
+            point = self.openables.handles(self.openables.positions)[k]
+        else:
+            point = self.objects.goals[k] if skill == "nav_to_goal" else self.objects.poses[k, :3]
+        return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
         """As `RearrangeView.barrier`, of an agent that rather walks ``detour_m`` farther than open a door."""

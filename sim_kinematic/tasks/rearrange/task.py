@@ -39,7 +39,13 @@ from sim_kinematic.policies.rearrange import (
     population_of,
     robot_policy,
 )
-from sim_kinematic.policies.recorded import RecordedCommands, RecordedPolicy, recorded_choices, recorded_commands
+from sim_kinematic.policies.recorded import (
+    RecordedCommands,
+    RecordedPolicy,
+    deciding_since,
+    recorded_choices,
+    recorded_commands,
+)
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
 from sim_kinematic.tasks.play import Play
 from sim_kinematic.tasks.rearrange.episode import (
@@ -342,9 +348,8 @@ class Rearrange(Task):
     def needed_columns(self, recording: Recording) -> list[str]:
         return [f"agent_{k}.{name}" for k in range(len(recording.agents)) for name in ("skill", "skill_target")]
 
-    def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
-        named = {"robot": recording.episode.info.get("policy"), "human": recording.episode.info.get("partner")}
-        return {key: choice for key, choice in chosen.items() if choice != named.get(key)}
+    def agents_with_recorded_decisions(self, recording: Recording) -> set[int]:
+        return set(range(len(recording.agents)))
 
     def recorded_policies(
         self,
@@ -363,9 +368,9 @@ class Rearrange(Task):
                 f"again. Hint: verify or resume it with the version that made it ({recording.episode.created_by})."
             )
         objects, joints = tuple(target.name for target in episode.targets), joint_names(episode.scene)
-        commands, verifies, policies = recorded_commands(recording, self.choice_from_json), not changed, []
-        for k, (assigned, since) in enumerate(zip(own, _since(recording), strict=True)):
-            policy: Any = None if verifies else assigned.policy
+        commands, policies = recorded_commands(recording, self.choice_from_json), []
+        for k, (assigned, since) in enumerate(zip(own, deciding_since(recording), strict=True)):
+            policy: Any = assigned.policy
             # a driven person on a recorded track is asked nothing after the commands that came before it
             agent = recording.agents[k]
             on_track = is_counterfactual(recording) and agent.kind == "human" and bool(agent.action_names)
@@ -374,15 +379,12 @@ class Rearrange(Task):
                     *_checked(recording, k, objects, since if k in commands else 0, joints), until=until, since=since,
                     joints=joints,
                 )  # fmt: skip
-                if not verifies and assigned.policy is not None:
+                if assigned.policy is not None:
                     policy.own, policy.since = assigned.policy, until if changed[k] else min(since, until)
             if k in commands or on_track:  # of a recording that was continued, only the steps before
                 policy = RecordedCommands(commands.get(k, []), until=min(since or until, until), own=policy)
             policies.append(assigned._replace(policy=policy))
         return policies
-
-    def continued_info(self, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        return {"deciding_since": [getattr(assigned.policy, "since", 0) for assigned in policies]}
 
     def kept_info(self, recording: Recording, episode: Episode, play: Play) -> dict[str, Any]:
         assert isinstance(episode, RearrangeEpisode)
@@ -482,18 +484,6 @@ def _starts(episode: RearrangeEpisode) -> dict[str, list[Any]]:
         robot, human = episode.pair_starts.places.tolist()
         return {"robot_start": robot, "human_start": human}
     return {"starts": episode.starts.tolist()}
-
-
-def _since(recording: Recording) -> list[int]:
-    """The step from which each agent's present policy has decided."""
-    count = len(recording.agents)
-    try:
-        since = msgspec.convert(recording.episode.info.get("deciding_since", [0] * count), list[int])
-    except msgspec.ValidationError:
-        since = []
-    if len(since) != count or min(since) < 0:
-        raise InputError(f"Expected deciding_since in the info, a step for each of {count} agents.")
-    return since
 
 
 def _track_from(recording: Recording) -> int:

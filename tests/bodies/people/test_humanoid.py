@@ -294,3 +294,24 @@ def test_files_of_another_kind_are_refused(tmp_path) -> None:
     np.savez(tmp_path / "pickled.npz", **pickled)
     with pytest.raises(FormatError):
         load_humanoid(tmp_path / "pickled.npz")
+
+
+@pytest.mark.parametrize("lod", [False, True])
+def test_a_few_frames_are_skinned_to_the_same_bits_as_many(body: Humanoid, lod: bool) -> None:
+    frames = body.joint_matrices_free(*_random_free_pose(12))
+    together = body.skin(frames, lod=lod)
+    few = np.concatenate([body.skin(frames[:1], lod=lod), body.skin(frames[1:4], lod=lod)])
+    np.testing.assert_array_equal(few, together[:4])
+
+
+@pytest.mark.parametrize("lod", [False, True])
+def test_bounding_spheres_hold_every_vertex_in_the_hull_of_its_group(body: Humanoid, lod: bool) -> None:
+    frames = body.joint_matrices_free(*_random_free_pose(4))
+    bounds, vertices = body.bounds[int(lod)], body.skin(frames, lod=lod).astype(np.float64)
+    centers = bounds.posed(frames)
+    rng = np.random.default_rng(0)
+    for direction in rng.normal(size=(20, 3)):  # a support function of the hulls is nowhere below that of the mesh
+        direction /= np.linalg.norm(direction)
+        reach = (centers @ direction + bounds.radii).max(-1)
+        assert (reach > (vertices @ direction).max(-1) - 1e-4).all()
+        assert (reach < (vertices @ direction).max(-1) + 0.4).all()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError
-from h3data.render import normalize_depth
+from h3data.render import Camera, normalize_depth
 from h3data.replay import Replay, camera_track
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
@@ -95,6 +97,58 @@ def test_worlds_do_not_mix(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
         one.pose(state.take([w]))
         for name, picture in ARM.observe(one).items():
             np.testing.assert_array_equal(picture[0], together[name][w], err_msg=name)
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic", "equirectangular"])
+def test_pictures_are_the_same_where_people_out_of_view_are_not_skinned(
+    home: Scene, bodies: tuple[Robot, Humanoid], projection: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cameras all around a person, near and far, also between their legs: many see a hand or a foot at an edge alone."""
+    state = facing_each_other(home, 1)
+    (middle,) = np.column_stack([state.people[0].xz[:, :1], [[1.0]], state.people[0].xz[:, 1:]])
+    rng = np.random.default_rng(7)
+    lens = {"perspective": 40.0, "orthographic": 60.0, "equirectangular": 96 / (2 * np.pi)}[projection]
+    cameras = []
+    for _ in range(60):
+        axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        pose = np.eye(4)
+        pose[:3, :3] = axes * np.sign(np.linalg.det(axes))
+        pose[:3, 3] = middle + rng.normal(size=3) * rng.choice([0.2, 1.0, 3.0])
+        near = float(rng.choice([0.0, 0.3]))
+        cameras.append(
+            Camera(
+                width=96,
+                height=48,
+                fx=lens,
+                fy=lens,
+                cx=48.0,
+                cy=24.0,
+                pose=pose,
+                projection=projection,
+                near=near,
+                far=6.0,
+            )
+        )
+    outputs = ("depth", "instance", "rgb")
+    pictures, skinned = {}, {}
+    for culled in (True, False):
+        drawn = StateRenderer(home, bodies)
+        if not culled:
+            monkeypatch.setattr("sim_kinematic.sensing.camera_sensor.may_see", lambda *_: True)
+        taken, count = [], 0
+        for camera in cameras:
+            drawn.pose(state)
+            taken.append(drawn.picture([camera], outputs))
+            count += len(drawn._shown)
+        pictures[culled], skinned[culled] = taken, count
+    for ours, all_skinned in zip(pictures[True], pictures[False], strict=True):
+        for name in outputs:
+            np.testing.assert_array_equal(ours[name], all_skinned[name], err_msg=name)
+    people = StateRenderer(home, bodies).instances(1)
+    showing = sum(bool(np.isin(one["instance"], people).any()) for one in pictures[False])
+    assert skinned[False] == 60
+    assert showing <= skinned[True]
+    assert projection == "equirectangular" or skinned[True] < showing + 20
 
 
 def test_objects_are_drawn_where_the_state_has_them(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:

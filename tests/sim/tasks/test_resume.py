@@ -16,6 +16,8 @@ from h3data.recording import Dataset, DatasetWriter, Recording, open_recording, 
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.policies.learned import network_of
+from sim_kinematic.policies.policy import FunctionPolicy, Velocity
 from sim_kinematic.policies.social_nav import POLICIES
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
 from tests.simulated import simulate_social_nav, social_nav_episode
@@ -291,3 +293,74 @@ def test_options_that_do_not_go_together(
     write_mcap(episode, tmp_path / "a.mcap")
     assert run_json(capsys, "replay", "a.mcap", *arguments, code=2)["error"]
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+# --- policies that remember -------------------------------------------------------------------------------------------
+class Remembering:
+    """A robot whose memory is all that it has seen, and which holds each action for seven steps. It counts its calls."""
+
+    calls = 0
+
+    def __init__(self) -> None:
+        self.memory, self.action = 0.0, (0.0, 0.0)
+
+    def act(self, view: Any) -> Any:
+        type(self).calls += 1
+        self.memory = 0.9 * self.memory + float(np.sum(view.robot_xz)) + float(np.sum(view.human_xz))
+        if view.step % 7 == 0:
+            self.action = (0.5 + 0.5 * float(np.sin(self.memory)), float(np.cos(self.memory)))
+        return Velocity(*self.action, "find")
+
+
+def remembering(task: Any, episode: Any, number: int) -> Any:
+    """What a plug-in offers: a fresh policy for each agent of each episode."""
+    return Remembering()
+
+
+def remembering_function(task: Any, episode: Any, number: int) -> Any:
+    """The same where what is made is a function of the view and of the robot's base, with a memory in it."""
+    policy = Remembering()
+    return FunctionPolicy(lambda view, spec: policy.act(view), episode.spec.robot)
+
+
+@pytest.mark.parametrize("made", ["remembering", "remembering_function"])
+@pytest.mark.parametrize("step", [28, 31, 60])
+def test_a_policy_that_remembers_goes_on_as_if_nothing_had_happened(made: str, step: int) -> None:
+    name = f"{__name__}:{made}"
+    recording = simulated(5, policy=name, steps=60)
+    cases: list[dict[str, Any]] = [{}, {"policy": name}, {"agents": {"robot": name}}]
+    for options in cases:
+        again = resume(recording, step, **options)
+        assert again.columns["agent_0.action"].tobytes() == recording.columns["agent_0.action"].tobytes()
+        assert again.columns["state_hash"].tobytes() == recording.columns["state_hash"].tobytes()
+
+
+def test_whoever_takes_over_remembers_since_then() -> None:
+    name = f"{__name__}:remembering"
+    other = resume(simulated(5, steps=60), 20, policy=name)
+    assert other.episode.info["deciding_since"] == [20, 0]
+    again = resume(other, 45)
+    assert again.columns["state_hash"].tobytes() == other.columns["state_hash"].tobytes()
+    assert again.episode.info["deciding_since"] == [20, 0]
+
+
+@pytest.mark.parametrize("made", ["remembering", "remembering_function"])
+def test_verifying_asks_no_policy_for_what_is_recorded(made: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = simulated(5, policy=f"{__name__}:{made}", steps=60)
+    monkeypatch.setattr(Remembering, "calls", 0)
+    assert verify(recording).equal
+    assert Remembering.calls == 0
+
+    def gone(*_: Any) -> Any:
+        raise ConnectionRefusedError("its server is gone")
+
+    monkeypatch.setattr(f"{__name__}.{made}", gone)
+    assert verify(recording).equal
+
+
+def test_a_network_that_takes_over_between_two_decisions_decides_at_once() -> None:
+    hold = network_of("end_to_end").card.hold
+    other = resume(simulated(5, steps=40), 8 * hold + 1, policy="end_to_end")
+    assert hold > 1
+    assert np.abs(other.columns["agent_0.action"][8 * hold + 1 : 9 * hold]).max() > 0
+    assert resume(other, 38).columns["state_hash"].tobytes() == other.columns["state_hash"].tobytes()

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from h3data.builtin import builtin_path
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Dataset, DatasetWriter, Recording, open_recording, state_hash, write_mcap
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
+from sim_kinematic.policies.learned import SHIPPED
 from sim_kinematic.policies.rearrange import PARTNERS, ROBOT_POLICIES
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
@@ -142,6 +144,18 @@ def test_people_of_before_planted_feet_are_not_simulated_again(episode: Recordin
 
 
 # --- resume -----------------------------------------------------------------------------------------------------------
+def test_a_policy_that_remembers_goes_on_under_any_of_its_names(world: RearrangeEpisode, tmp_path: Path) -> None:
+    weights = tmp_path / "mine.npz"
+    weights.write_bytes(builtin_path(SHIPPED["learn_pop"]).read_bytes())
+    name, spec = f"weights:{weights}", replace(world.spec, max_steps=90)
+    recording = simulate_rearrange(replace(world, spec=spec), policy=name, partner="both", solo_steps=500)
+    cases: list[dict[str, Any]] = [{}, {"policy": name}, {"agents": {"robot": name}}]
+    for options in cases:
+        require_same(resume(recording, 61, **options), recording)
+    weights.unlink()
+    assert verify(recording).equal  # without them: nobody is asked
+
+
 def test_resuming_gives_the_rest_of_the_episode(known: Callable[[int], Recording]) -> None:
     rng = np.random.default_rng(0)
     for number in (0, 3):

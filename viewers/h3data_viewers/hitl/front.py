@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hashlib
+import ipaddress
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -29,14 +30,29 @@ MOST_BUSY = 0.7
 MOST_SPECTATORS = 20
 MOST_AHEAD = 4
 """Episodes that are prepared while others are played."""
+SEAT_S = 86400
+"""A browser keeps its seat for so long."""
 SEATS_PER_ADDRESS = 12
 """Seats that one network address may have at once: a class in a lab, not a flood."""
 BEGIN_S, POST_BYTES = 90.0, 64 * 1024
 ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
 
 
+def network(address: str) -> str:
+    """Return what counts as one network address: of IPv6 the first 64 bits, because one household has all that follow."""
+    try:
+        parsed = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if isinstance(parsed, ipaddress.IPv4Address):
+        return str(parsed)
+    return str(parsed.ipv4_mapped or ipaddress.ip_network((parsed, 64), strict=False))
+
+
 class Front:
     """All seats and games of one plan."""
+
+    seat_s = SEAT_S
 
     def __init__(
         self, plan: PlayPlan, *, workers: int = 1, tables: int = 1, open_door: bool = True, secure: bool = False,
@@ -148,7 +164,13 @@ class Front:
         body = {"manifest": manifest, "glb": begun["glb"], "socket": f"play/{seat.sid}"}
         answer = web.json_response(body, headers={"Cache-Control": "no-store"})
         answer.set_cookie(
-            self._cookie(number), token, httponly=True, samesite="Strict", secure=self.secure, max_age=86400, path="/"
+            self._cookie(number),
+            token,
+            httponly=True,
+            samesite="Strict",
+            secure=self.secure,
+            max_age=self.seat_s,
+            path="/",
         )
         return answer
 
@@ -202,7 +224,7 @@ class Front:
     def _address(self, request: web.Request) -> str:
         # the last entry is the proxy's own; what a client writes itself comes before it
         named = request.headers.get("X-Forwarded-For", "") if self.behind_proxy else ""
-        return named.rpartition(",")[2].strip() or request.remote or ""
+        return network(named.rpartition(",")[2].strip() or request.remote or "")
 
     def _is_taken(self, sid: str) -> bool:
         """Whether somebody still plays in a seat."""

@@ -22,6 +22,7 @@ from h3data_viewers.hitl.messages import Act, decode
 from h3data_viewers.hitl.plan import VERSION, GameOrder, PlayPlan
 from h3data_viewers.hitl.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, StatePacker
 from sim_kinematic.agents.roster import HUMAN_BODY
+from sim_kinematic.policies.assignment import AssignedPolicy, make_policy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.episode import Episode, with_options
 from sim_kinematic.tasks.registry import find_task
@@ -52,7 +53,7 @@ class Table:
         """Agent of each player, in the order of `PlayPlan.players`."""
         if plan.partner not in (None, "solo"):
             for kind in {kind for k, kind in enumerate(self.roster) if k not in self.numbers}:
-                self.task.check_policy(kind, plan.partner, self.spec)
+                self.task.check_policy(kind, plan.partner_here or plan.partner, self.spec)
 
     def _numbers(self) -> tuple[int, ...]:
         numbers = []
@@ -64,6 +65,13 @@ class Table:
                 raise InputError(f"Nobody can play as the {seat}: {self.plan.app} has {', '.join(self.roster)}.")
             numbers.append(agents[nth])
         return tuple(numbers)
+
+    def partner_of(self, episode: Episode, number: int) -> str | AssignedPolicy | None:
+        """What an agent that nobody plays follows, called as the plan calls it: recordings hold no paths of this machine."""
+        plan = self.plan
+        if plan.partner_here == plan.partner:
+            return plan.partner
+        return make_policy(self.task, episode, number, plan.partner_here)._replace(name=plan.partner)
 
     def episode(self, index: int) -> Episode:
         """Samples episode ``index``."""
@@ -95,9 +103,10 @@ class LiveGame:
     def __init__(self, table: Table, index: int, path: Path | None = None, order: GameOrder | None = None) -> None:
         plan, episode = table.plan, table.episode(index)
         names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
-        others = [m.name for k, m in enumerate(episode.roster) if k not in table.numbers]
-        partner = None if plan.partner == "solo" else plan.partner
-        policies = {**names, **(dict.fromkeys(others, partner) if partner else {})}
+        policies: dict[str, Any] = dict(names)
+        if plan.partner not in (None, "solo"):
+            others = {k: m.name for k, m in enumerate(episode.roster) if k not in table.numbers}
+            policies |= {name: table.partner_of(episode, k) for k, name in others.items()}
         sink = None
         if path is not None:
             # one home is stored once for all episodes that are played in it

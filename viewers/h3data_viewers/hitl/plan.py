@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import msgspec
+
+from sim_kinematic.policies.learned import PREFIX as WEIGHTS
 
 SEATS = ("person", "robot", "spectator")
 """What somebody can sit down as."""
@@ -28,10 +31,19 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     episodes: int = 1
     speed: float = 1.0
     """Above 1 time runs faster, 0: as fast as the machine can. For scripted players; recordings say so."""
+    weights_in: str = ""
+    """Folder from which a relative file of weights in ``partner`` is named. Recordings repeat the relative name."""
     motion: str | None = None
     """Motion file of people's walk."""
     rules: dict[str, Any] = {}
     """Rules of the task that differ from the app's."""
+
+    @property
+    def partner_here(self) -> str | None:
+        """`partner`, a file of weights by its path on this machine."""
+        if self.partner is None or not self.weights_in or not self.partner.startswith(WEIGHTS):
+            return self.partner
+        return f"{WEIGHTS}{Path(self.weights_in, self.partner.removeprefix(WEIGHTS))}"
 
     @property
     def players(self) -> tuple[str, ...]:

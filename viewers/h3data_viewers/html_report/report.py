@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
@@ -48,7 +48,7 @@ from h3data_viewers.html_report.report_pictures import (
 )
 from h3data_viewers.html_report.report_ranks import rank_table
 from h3data_viewers.html_report.report_reading import Found
-from h3data_viewers.html_report.report_study import key_of, studied, study_tables
+from h3data_viewers.html_report.report_study import key_of, study_tables
 from h3data_viewers.html_report.report_tables import Table, to_html, to_latex, to_markdown
 from h3data_viewers.html_report.report_text import TASKS, beginning, episode_list, meanings, task_name
 
@@ -92,6 +92,7 @@ def make_report(
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
     more: Sequence[Table] = (),
+    folder: Path | None = None,
     replays: ReplayFiles | None = None,
     spread: Spread[Found] = map,
 ) -> Report:
@@ -100,7 +101,8 @@ def make_report(
     ``assets`` are folders of the files that foreign recordings name; ``people`` and ``light`` are those of the key frames, as
     in `h3data.replay.Replay`; ``study`` chooses the models of
     episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population; ``more`` are
-    tables of what is not in recordings, each in a section of its own; ``replays`` takes HTML replays of the episodes with key
+    tables of what is not in recordings, each in a section of its own; ``folder`` is that of all
+    paths, from which the page names them; ``replays`` takes HTML replays of the episodes with key
     frames, which link them; ``spread`` may have other processes or machines read and measure the recordings.
 
     Raises:
@@ -110,7 +112,8 @@ def make_report(
     data = gather(paths, zsc=zsc, spread=spread)
     title = title or _title(data)
     missing: list[str] = []
-    tables = _paper_tables(data, missing, study or StudyModel())
+    charts: dict[str, list[str]] = {}
+    tables = _paper_tables(data, missing, study or StudyModel(), charts)
     pairs = paired_tables(data)
     if len(data.runs) > 1 and not pairs:
         missing.append("Paired differences: no two runs hold the same episodes (ids, scenes and seeds).")
@@ -119,10 +122,10 @@ def make_report(
         runs, tail = data.of_task(task), f" in {task_name(task)}" if len(data.tasks) > 1 else ""
         partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
         heat += partners
-        body += _task_sections(task, runs, [*tables, *partners], plans, missing, tail)
+        body += _task_sections(task, runs, [*tables, *partners], charts, plans, missing, tail)
         if chosen := highlights(runs, pictures):
             body.append(
-                _highlighted(task, chosen, plans, [Path(folder) for folder in assets], people, light, tail, replays)
+                _highlighted(task, chosen, plans, [Path(each) for each in assets], people, light, tail, replays, folder)
             )
     if any(not e.recorded for e in data.episodes):
         missing.append("Pictures, paths and times of evaluated episodes: evaluate --keep keeps their recordings.")
@@ -137,7 +140,7 @@ def make_report(
         missing.append(f"Learning curves: no dataset holds a file {CURVES_FILE}.")
     body.append(_section("episodes", "All episodes", episode_list(data)))
     body.append(_section("methods", "What the numbers mean", meanings(data)))
-    head = beginning(title, data, missing, [(key, name) for key, name, _ in body])
+    head = beginning(title, data, missing, [(key, name) for key, name, _ in body], folder)
     return Report(
         title=title,
         data=data,
@@ -161,6 +164,7 @@ def write_report(
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
     more: Sequence[Table] = (),
+    folder: Path | None = None,
     replays: bool = False,
     spread: Spread[Found] = map,
 ) -> Report:
@@ -176,6 +180,7 @@ def write_report(
         study=study,
         zsc=zsc,
         more=more,
+        folder=folder,
         replays=files,
         spread=spread,
     )
@@ -198,9 +203,10 @@ def _section(key: str, title: str, html: str) -> Part:
     return key, title, f'<section id="{escape(key)}"><h2>{escape(title)}</h2>{html}</section>'
 
 
-def _paper_tables(data: ReportData, missing: list[str], study: StudyModel) -> list[Table]:
+def _paper_tables(data: ReportData, missing: list[str], study: StudyModel, charts: dict[str, list[str]]) -> list[Table]:
+    """Tables of all tasks; what is ``missing``, and ``charts`` of studies by key of their table, are added to."""
     others = [task_table(task_name(t), data.of_task(t)) for t in data.tasks if t not in TASKS]
-    studies = _study_tables(data, missing, study)
+    studies = _study_tables(data, missing, study, charts)
     if len(others) == len(data.tasks):
         return [*others, *studies]  # of a study of another task nobody expects the paper's tables
     tables = []
@@ -208,22 +214,22 @@ def _paper_tables(data: ReportData, missing: list[str], study: StudyModel) -> li
         tables.append(social_nav_table(runs))
     else:
         missing.append("Social navigation: there are no episodes of it.")
-    if runs := [run for run in data.of_task("rearrange") if not all(map(studied, run.episodes))]:
+    if runs := [run for run in data.of_task("rearrange") if not all(e.studied for e in run.episodes)]:
         tables.append(rearrangement_table(runs))
     else:
         missing.append("Social rearrangement (train-pop and ZSC-pop): there are no episodes of it.")
-    if not any(map(studied, data.episodes)):
+    if not any(e.studied for e in data.episodes):
         missing.append("Human-in-the-loop study and its contrasts: no episodes of participants under conditions.")
     return [*tables, *studies, *others]
 
 
-def _study_tables(data: ReportData, missing: list[str], study: StudyModel) -> list[Table]:
+def _study_tables(data: ReportData, missing: list[str], study: StudyModel, charts: dict[str, list[str]]) -> list[Table]:
     """Tables of the episodes that participants did under conditions, of each task."""
     tables = []
     for task in data.tasks:
-        runs = [run for run in data.of_task(task) if any(map(studied, run.episodes))]
+        runs = [run for run in data.of_task(task) if any(e.studied for e in run.episodes)]
         if runs:
-            found, why = study_tables(runs, study)
+            found, charts[key_of("hitl", task)], why = study_tables(runs, study)
             ranks = rank_table(data.of_task(task))
             tables += found if ranks is None else [*found, ranks]
             if why:
@@ -232,7 +238,13 @@ def _study_tables(data: ReportData, missing: list[str], study: StudyModel) -> li
 
 
 def _task_sections(
-    task: str, runs: Sequence[Run], tables: Sequence[Table], plans: Plans, missing: list[str], tail: str
+    task: str,
+    runs: Sequence[Run],
+    tables: Sequence[Table],
+    charts: Mapping[str, Sequence[str]],
+    plans: Plans,
+    missing: list[str],
+    tail: str,
 ) -> list[Part]:
     """Everything about the runs of one task, key frames excepted; titles end in ``tail``."""
     names = legend([run.name for run in runs])
@@ -241,7 +253,11 @@ def _task_sections(
         beside = f"<h3>Beside the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
         parts.append(_section(task, table.title, to_html(table) + beside))
     keys = [*(key_of(name, task) for name in ("hitl", "contrasts")), f"ranks_{task}"]
-    parts += [_section(t.key, t.title + tail, to_html(t)) for t in tables if t.key in keys]
+    parts += [
+        _section(t.key, t.title + tail, to_html(t) + (_panels(charts[t.key]) if charts.get(t.key) else ""))
+        for t in tables
+        if t.key in keys
+    ]
     partners = [t for t in tables if t.key.startswith(f"partners_{task}_")]
     if partners:
         heats = "".join(f"<div>{to_html(t, sortable=False)}</div>" for t in partners)
@@ -251,8 +267,8 @@ def _task_sections(
         missing.append(f"Policies by partner in {task_name(task)}: all episodes have the same partner.")
     lead = "<p class=quiet>Each bar counts episodes; the upright line is the mean.</p>"
     parts.append(_section(f"{task}-spread", "Distributions" + tail, lead + names + _panels(distribution_charts(runs))))
-    if charts := time_charts(runs):
-        parts.append(_section(f"{task}-time", "Over time" + tail, names + _panels(charts)))
+    if over_time := time_charts(runs):
+        parts.append(_section(f"{task}-time", "Over time" + tail, names + _panels(over_time)))
     figures, which = trajectory_figures(runs, plans)
     if figures:
         lead = (
@@ -272,8 +288,9 @@ def _highlighted(
     light: LightMode,
     tail: str,
     replays: ReplayFiles | None,
+    folder: Path | None,
 ) -> Part:
-    cards = "".join(highlight_card(highlight, plans, assets, people, light, replays) for highlight in chosen)
+    cards = "".join(highlight_card(highlight, plans, assets, people, light, replays, folder) for highlight in chosen)
     ranking = ", then by ".join(ranked_by(chosen[0].run.profile))
     lead = (
         f"<p class=quiet>Ranked by {ranking}. Plans: robot orange, person blue; a ring is the start, a dot the end.</p>"

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.metrics import Metric, metrics_of
+from h3data.metrics import Metric, StudyAnalysis, metrics_of
 from h3data.metrics.paper.published import published_results
 from h3data_viewers.html_report.report_data import Run
 from h3data_viewers.html_report.report_episode import GRID_S
@@ -69,6 +69,34 @@ def _estimates(metric: Metric, runs: Sequence[Run], paper: Sequence) -> str:
             svg.line(x(values[0] - values[1]), y, x(values[0] + values[1]), y, "whisker paper")
         svg.shape(f"M{at - 5:.1f} {y:.1f}L{at:.1f} {y - 5:.1f}L{at + 5:.1f} {y:.1f}L{at:.1f} {y + 5:.1f}Z", "diamond")
     return _figure(svg, f"{metric.name}: {metric.title.lower()}")
+
+
+def study_charts(analysis: StudyAnalysis, names: Sequence[str]) -> list[str]:
+    """One panel per metric of a study: the estimated means of conditions with intervals; ``names`` are those of all runs."""
+    colours = {c: series_class(names.index(c) if c in names else k) for k, c in enumerate(analysis.conditions)}
+    return [figure for metric in analysis.metrics if (figure := _study_chart(metric, analysis, colours))]
+
+
+def _study_chart(metric: Metric, analysis: StudyAnalysis, colours: Mapping[str, str]) -> str:
+    means = {c: e for c in analysis.conditions if (e := analysis.estimates[metric.name].get(c)) and np.isfinite(e.mean)}
+    if not means:
+        return ""
+    ends = [v for e in means.values() for v in (e.mean, e.high) if np.isfinite(v)]
+    high = 1.0 if metric.range == (0.0, 1.0) else max(ends) * 1.08 or 1.0
+    bottom = 8 + _ROW * len(analysis.conditions)
+    told = "; ".join(f"{c} {e.mean:.2f}" for c, e in means.items())
+    svg = Svg(_WIDTH, bottom + 38, f"{metric.title}, estimated means: {told}")
+    x = linear(0, high, _LABEL, _WIDTH - 12)
+    x_axis(svg, x, ticks(0, high, 4), (_LABEL, 2.0, _WIDTH - 12, bottom), title=_unit(metric))
+    for k, condition in enumerate(analysis.conditions):
+        y = 8 + _ROW * (k + 0.5)
+        svg.text(_LABEL - 8, y + 4, condition, "label", anchor="end", most=16)
+        if (e := means.get(condition)) is None:
+            continue
+        if np.isfinite(e.low):
+            svg.line(x(e.low), y, x(e.high), y, f"whisker {colours[condition]}")
+        svg.circle(x(e.mean), y, 5, f"dot {colours[condition]}", title=f"{e.mean:.3f} [{e.low:.3f}, {e.high:.3f}]")
+    return _figure(svg, f"{metric.name}: {metric.title.lower()}, estimated means with 95 % intervals")
 
 
 def _short(name: str) -> str:

@@ -2,8 +2,8 @@
 together.
 
 What recordings say about themselves (`Episode.info`) decides how they are grouped: ``policy``, ``partner`` (else the
-human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition`` (which names the run
-where no policy does).
+human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition``. Episodes of participants are
+one run for each condition, whoever played them; for others the condition names the run where no policy does.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ class _Gathered:
             ]
 
     def _group(self, place: int, root: Path, episode: ReportEpisode, profile: Profile) -> None:
-        policy = episode.policy or episode.condition or root.stem or "unnamed"
+        policy = episode.condition if episode.studied else episode.policy or episode.condition or root.stem or "unnamed"
         key = (place, episode.metrics.task, policy)
         if self.profiles.setdefault(key, profile) is not profile:
             raise InputError(
@@ -210,8 +210,11 @@ def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[
 
 
 def same_episodes(first: Run, second: Run) -> bool:
-    """Whether two runs hold the same episodes: equal ids, scenes and seeds, each once."""
-    a, b = ({e.metrics.episode_id: (e.metrics.scene, e.seed) for e in run.episodes} for run in (first, second))
+    """Whether two runs hold the same episodes by the same participant, if any: equal ids, scenes and seeds, each once."""
+    a, b = (
+        {e.metrics.episode_id: (e.metrics.scene, e.seed, e.participant) for e in run.episodes}
+        for run in (first, second)
+    )
     return first.task == second.task and a == b and len(a) == len(first.episodes) == len(second.episodes)
 
 
@@ -280,7 +283,7 @@ def _runs(
 
 
 def _one_row(parts: Sequence[Sequence[ReportEpisode]]) -> bool:
-    """Whether datasets of a policy belong together: no episode with the same partner twice, and the same rules."""
-    keys = [{(e.metrics.episode_id, e.metrics.scene, e.seed, e.partner) for e in part} for part in parts]
+    """Whether datasets of a policy belong together: no episode twice with the same partner or participant, the same rules."""
+    keys = [{(e.metrics.episode_id, e.metrics.scene, e.seed, e.partner, e.participant) for e in part} for part in parts]
     rules = {frozenset(e.metrics.protocol_deviations for e in part) for part in parts}
     return sum(map(len, keys)) == len(set().union(*keys)) and len(rules) == 1

@@ -53,6 +53,11 @@ class ReportEpisode:
         """How the command line names it."""
         return f"{self.source}#{self.index}" if self.source.is_dir() else str(self.source)
 
+    @property
+    def studied(self) -> bool:
+        """Whether it says which participant did it under which condition."""
+        return bool(self.participant and self.condition)
+
     def seconds(self, row: int) -> float:
         """Time of a row since the beginning."""
         return (row + 1) * self.metrics.dt_ns * 1e-9

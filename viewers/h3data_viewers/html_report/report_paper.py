@@ -222,6 +222,7 @@ def _paired_table(place: int, first: Run, second: Run) -> Table:
             Column(head="Episodes that differ"),
         ),
         sections=(Section(title="", rows=tuple(rows)),),
+        notes=tuple(found.notes),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -266,11 +267,12 @@ def highlight_card(
     people: PeopleStyle = "skin",
     light: LightMode = "flat",
     replays: ReplayFiles | None = None,
+    folder: Path | None = None,
 ) -> str:
     """Plan with both tracks, key frames, distance over time and the metrics of one episode.
 
     ``assets`` are folders of the files that a foreign recording names; ``people`` and ``light`` are as in `Replay`;
-    ``replays`` takes an HTML replay of the episode, which the card links.
+    ``replays`` takes an HTML replay of the episode, which the card links; the recording is named from ``folder``.
     """
     from h3data.replay import Replay
 
@@ -306,6 +308,7 @@ def highlight_card(
         f"</figcaption></figure>"
         for (row, label), image in zip(rows, frames, strict=False)
     )
+    name = episode.name if folder is None else os.path.relpath(episode.name, folder)
     values = "".join(
         f"<li><b>{escape(name)}</b> {number(value)}</li>" for name, value in episode.metrics.values.items()
     )
@@ -317,7 +320,7 @@ def highlight_card(
         f'<ul class="values">{values}</ul><div class="card-body"><div class="card-plan">{svg.to_html()}'
         f"{_sparkline(episode)}</div>"
         f'<div class="frames">{pictures}{missing}</div></div>'
-        f"<p class=quiet>{link}Look: <code>h3data view {escape(_quoted(episode.name))}</code></p></article>"
+        f"<p class=quiet>{link}Look: <code>h3data view {escape(_quoted(name))}</code></p></article>"
     )
 
 

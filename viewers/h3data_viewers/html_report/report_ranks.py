@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,8 +12,7 @@ from h3data.metrics.studies.analysis import study_layout
 from h3data.stats import RankAgreement, rank_agreement
 from h3data_viewers.html_report.report_data import Run
 from h3data_viewers.html_report.report_episode import ReportEpisode
-from h3data_viewers.html_report.report_study import studied
-from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table, mean_cell, number
+from h3data_viewers.html_report.report_tables import NAN, Cell, Column, Row, Section, Table, mean_cell, number
 
 
 def rank_table(runs: Sequence[Run]) -> Table | None:
@@ -26,8 +25,8 @@ def rank_table(runs: Sequence[Run]) -> Table | None:
     shown: dict[str, str] = {}
     for run in runs:
         for episode in run.episodes:
-            name = episode.condition if studied(episode) else episode.policy or run.name
-            (human if studied(episode) else automatic).setdefault(_key(name), []).append(episode)
+            name = episode.condition if episode.studied else episode.policy or run.name
+            (human if episode.studied else automatic).setdefault(_key(name), []).append(episode)
             shown.setdefault(_key(name), name)
     shared = [key for key in automatic if key in human]
     if len(shared) < 2:
@@ -43,7 +42,8 @@ def rank_table(runs: Sequence[Run]) -> Table | None:
             )
         except InputError:  # a policy without a defined value
             continue
-        rows.append(_row(name, agreement, f"by people's {measured}, reversed" if measured != name else ""))
+        base = _alone(human, measured) if measured != name else NAN
+        rows.append(_row(name, agreement, measured if measured != name else "", base))
     if not rows:
         return None
     return Table(
@@ -60,21 +60,36 @@ def rank_table(runs: Sequence[Run]) -> Table | None:
     )
 
 
-def _row(name: str, found: RankAgreement, small: str) -> Row:
+def _alone(human: Mapping[str, Sequence[ReportEpisode]], steps: str) -> float:
+    """Mean steps of people without a robot; NaN if nobody was alone."""
+    alone = [e.metrics.values[steps] for key, episodes in human.items() if key.startswith("solo") for e in episodes]
+    known = [value for value in alone if value == value]
+    return float(np.mean(known)) if known else NAN
+
+
+def _row(name: str, found: RankAgreement, steps: str, alone: float) -> Row:
+    """``steps``: by whose mean people's efficiency is ranked, and ``alone`` their mean without a robot, if it is known."""
+    if not steps:
+        people, small = _order(found.names, found.second_means), ""
+    elif alone == alone:
+        people = _order(found.names, [100 * alone / -mean for mean in found.second_means])
+        small = f"people's: 100 · mean {steps} alone / mean {steps} with the robot"
+    else:
+        people, small = _order(found.names, found.second_means, sign=-1.0), f"by people's {steps}, reversed"
     return Row(
         name=name,
         small=small,
         cells=(
             mean_cell(found.kendall, found.kendall_low, found.kendall_high, digits=2),
             mean_cell(found.spearman, found.spearman_low, found.spearman_high, digits=2),
-            Cell(text=_order(found.names, found.first_means, sign=1.0)),
-            Cell(text=_order(found.names, found.second_means, sign=-1.0 if small else 1.0)),
+            Cell(text=_order(found.names, found.first_means)),
+            Cell(text=people),
         ),
     )
 
 
-def _order(names: Sequence[str], means: Sequence[float], *, sign: float) -> str:
-    """``a 0.36, b 0.44``, largest value of the ranked quantity first."""
+def _order(names: Sequence[str], means: Sequence[float], *, sign: float = 1.0) -> str:
+    """``a 0.44, b 0.36``, largest first; with a ``sign`` of -1 the means are those of the negative quantity."""
     return ", ".join(f"{names[k]} {number(sign * means[k])}" for k in np.argsort(-np.asarray(means), kind="stable"))
 
 

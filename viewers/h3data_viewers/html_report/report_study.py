@@ -8,8 +8,8 @@ from h3data.errors import InputError
 from h3data.metrics import Metric, Profile, StudyAnalysis, StudyModel, analyse_study
 from h3data.metrics.report_layout import StudyLayout
 from h3data.metrics.studies.analysis import FittedMeans, study_layout, without_hint
+from h3data_viewers.html_report.report_charts import study_charts
 from h3data_viewers.html_report.report_data import Run
-from h3data_viewers.html_report.report_episode import ReportEpisode
 from h3data_viewers.html_report.report_paper import metric_column
 from h3data_viewers.html_report.report_tables import (
     Cell,
@@ -25,13 +25,8 @@ from h3data_viewers.html_report.report_tables import (
 )
 
 
-def studied(episode: ReportEpisode) -> bool:
-    """Whether an episode says which participant did it under which condition."""
-    return bool(episode.participant and episode.condition)
-
-
-def study_tables(runs: Sequence[Run], model: StudyModel) -> tuple[list[Table], str]:
-    """The tables of estimated means and of pairwise contrasts of one task, or none of them and why.
+def study_tables(runs: Sequence[Run], model: StudyModel) -> tuple[list[Table], list[str], str]:
+    """The tables of estimated means and of pairwise contrasts of one task and charts of the means, or none of them and why.
 
     Args:
         runs: Runs of one task; their episodes without a participant or condition are left out.
@@ -41,12 +36,12 @@ def study_tables(runs: Sequence[Run], model: StudyModel) -> tuple[list[Table], s
     try:
         analysis = analyse_study([e.metrics for run in runs for e in run.episodes], profile, model)
     except InputError as fault:
-        return [], str(fault).partition(" Hint:")[0].rstrip(".")
+        return [], [], str(fault).partition(" Hint:")[0].rstrip(".")
     task, layout = runs[0].task, study_layout(profile)
     tables = [_means_table(task, analysis, profile, layout)]
     if analysis.models:
         tables.append(_contrast_table(task, analysis, layout))
-    return tables, ""
+    return tables, study_charts(analysis, [run.name for run in runs]), ""
 
 
 def _means_table(task: str, analysis: StudyAnalysis, profile: Profile, layout: StudyLayout) -> Table:

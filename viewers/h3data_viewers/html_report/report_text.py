@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import date
 from html import escape
+from pathlib import Path
 
 from h3data.metrics import Metric
 from h3data.metrics.table import assumed_task
@@ -22,8 +23,15 @@ def task_name(task: str) -> str:
     return TASKS.get(task, task.replace("_", " "))
 
 
-def beginning(title: str, data: ReportData, missing: Sequence[str], sections: Sequence[tuple[str, str]]) -> str:
-    """Title, numbers, findings, what is missing, and links to ``sections`` (key and title)."""
+def beginning(
+    title: str,
+    data: ReportData,
+    missing: Sequence[str],
+    sections: Sequence[tuple[str, str]],
+    folder: Path | None = None,
+) -> str:
+    """Title, numbers, findings, what is missing, and links to ``sections`` (key and title); ``folder`` in place of the
+    paths."""
     episodes = list(data.episodes)
     steps = sum(e.metrics.rows for e in episodes)
     hours = sum(e.metrics.rows * e.metrics.dt_ns for e in episodes) * 1e-9 / 3600
@@ -52,6 +60,8 @@ def beginning(title: str, data: ReportData, missing: Sequence[str], sections: Se
     )
     where = ", ".join(f"<code>{escape(str(path))}</code>" for path in data.paths[:_MOST_PATHS])
     where += f" and {len(data.paths) - _MOST_PATHS} more" if len(data.paths) > _MOST_PATHS else ""
+    if folder is not None:
+        where = f"{counted(len(data.paths), 'recording')} of <code>{escape(folder.name)}</code>"
     return (
         f"<header><h1>{escape(title)}</h1><p class=quiet>{where} · {date.today():%d %B %Y}</p>"
         f'<ul class="facts">{tiles}</ul><ul class="findings">{said}</ul>'

@@ -39,7 +39,8 @@ class Participant(Bot):
     async def fill(self) -> None:
         """Fills in the form that is next."""
         answers = {item["id"]: item["min"] for item in self.stage["items"] if item["kind"] != "text"}
-        assert await self.ask("api/study/form", {"form": self.stage["form"], "answers": answers}) == 200
+        form = {"form": self.stage["form"], "block": self.stage["block"], "answers": answers}
+        assert await self.ask("api/study/form", form) == 200
 
     async def begin(self) -> None:
         """Takes the seat of the episode that is next, and connects."""

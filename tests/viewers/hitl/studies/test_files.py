@@ -12,8 +12,12 @@ import pytest
 
 import h3data_viewers.hitl.study as package
 from h3data.errors import InputError
+from h3data.recording import read_mcap
+from h3data_viewers.hitl.live import Table
+from h3data_viewers.hitl.plan import GameOrder, PlayPlan
 from h3data_viewers.hitl.study.files import make_plan, read_design, study_folder
 from h3data_viewers.hitl.study.forms import BUILTIN, checked_answers, forms_after, resolved, score
+from sim_kinematic.tasks.registry import find_task
 from tests.paths import ROOT
 from tests.viewers.hitl.studies.tiny import TINY, tiny, write_tiny
 
@@ -127,7 +131,40 @@ def test_weights_are_found_beside_the_study_and_are_part_of_it(tmp_path: Path) -
     shutil.copy(WEIGHTS, tmp_path / "net.npz")
     partner = read_design(tmp_path / "study.toml").conditions[0].partner
     assert partner is not None
-    assert re.fullmatch(rf"weights:{tmp_path}/net\.npz@[0-9a-f]{{12}}", partner)
+    assert re.fullmatch(r"weights:net\.npz@[0-9a-f]{12}", partner), "no path of this machine"
+    for named in (f"weights:{tmp_path}/net.npz", "weights:../net.npz"):
+        design = read_design(write_tiny(tmp_path / "below", conditions=[{**condition, "partner": named}]))
+        assert design.conditions[0].partner == partner.replace("net.npz", "../net.npz")
+        make_plan(design, tmp_path / "below" / "tiny-1")
+
+
+def test_recordings_name_weights_without_paths_of_the_machine(tmp_path: Path) -> None:
+    shutil.copy(WEIGHTS, tmp_path / "net.npz")
+    condition = {"name": "net", "app": "social_nav", "partner": "weights:net.npz"}
+    design = read_design(write_tiny(tmp_path, conditions=[condition], scenes=["small:1"], tutorial={"skip": True}))
+    plan = make_plan(design, tmp_path / "tiny-1")
+    game = Table(plan.plans[-1]).begin(GameOrder(index=0, name="one", plan=len(plan.plans) - 1))
+    game.step()
+    game.close()
+    recording = read_mcap(tmp_path / "tiny-1" / "one.mcap")
+    assert recording.episode.info["policy"] == design.conditions[0].partner
+    assert str(tmp_path) not in repr(recording.episode) + repr(design)
+
+
+@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
+def test_every_policy_of_a_task_can_be_a_partner(task: str, tmp_path: Path) -> None:
+    for seat, kind in (("person", "robot"), ("robot", "human")):
+        names = find_task(task).policies.get(kind, {})
+        conditions = [
+            {"name": f"c{k}", "app": task, "play_as": seat, "partner": name} for k, name in enumerate(names)
+        ]  # fmt: skip
+        if not conditions:
+            continue
+        design = read_design(write_tiny(tmp_path, scenes=["small:1"], conditions=conditions, episodes=1))
+        assert [c.partner for c in design.conditions] == list(names), "named as they are"
+        for condition in design.conditions:
+            plan = PlayPlan(app=task, out=str(tmp_path), seats=(seat,), partner=condition.partner, scenes="small:1")
+            assert Table(plan).plan.partner == condition.partner
 
 
 def test_one_condition_is_a_study(tmp_path: Path) -> None:

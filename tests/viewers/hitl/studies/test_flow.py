@@ -73,7 +73,7 @@ def test_the_tutorial_has_to_be_passed() -> None:
     [
         ({"webgl": False}, "no_webgl"),
         ({"ping_ms": 251.0}, "slow_connection"),
-        ({"width": 320.0}, "small_window"),
+        ({"width": 320.0, "final": True}, "small_window"),
         ({"fps": 3.0}, "slow_graphics"),
     ],
 )
@@ -81,6 +81,18 @@ def test_weak_devices_are_screened_out(report: dict[str, float], reason: str) ->
     progress = Progress(tiny(), PLACE)
     progress.device({**DEVICE, **report})
     assert (progress.status, progress.reason) == (SCREENED_OUT, reason)
+
+
+def test_a_small_window_is_checked_again() -> None:
+    progress = Progress(tiny(), PLACE)
+    progress.device({**DEVICE, "width": 390.0})
+    again = Progress(tiny(), PLACE, dict(progress.rows), progress.status)
+    assert (again.status, again.stage.kind, again.done) == (ACTIVE, "device", 0)
+    again.device(DEVICE)
+    assert again.stage.kind == "tutorial"
+    other = Progress(tiny(), PLACE)
+    other.device({**DEVICE, "width": 390.0, "fps": 3.0})
+    assert (other.status, other.reason) == (SCREENED_OUT, "slow_graphics"), "no larger window would help"
 
 
 def test_who_leaves_an_episode_leaves_the_study() -> None:

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
+import re
+import shutil
 import sqlite3
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -12,9 +17,11 @@ import pytest
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
 from h3data_pipelines.studies.managing import StudyForget, StudyStatus
-from h3data_pipelines.studies.reporting import StudyCompare, StudyReport
+from h3data_pipelines.studies.reporting import StudyCompare, StudyReport, _by_policy, _shipped
 from h3data_pipelines.studies.running import keep_design, running
-from h3data_viewers.hitl.study.files import open_store, open_study, read_design
+from h3data_viewers.hitl.study.files import bots_folder, open_store, open_study, read_design
+from h3data_viewers.html_report.report_episode import ReportEpisode
+from sim_kinematic.policies.learned import network_of
 from tests.viewers.hitl.studies.played import NOTHING, pid, play_study
 from tests.viewers.hitl.studies.tiny import tiny, write_tiny
 
@@ -34,8 +41,6 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def copied(study: Path, folder: Path) -> Path:
-    import shutil
-
     shutil.copytree(study.parent, folder, dirs_exist_ok=True)
     return folder / study.name
 
@@ -74,6 +79,111 @@ def test_the_report_has_the_papers_table_and_the_questionnaires(study: Path, tmp
     everybody = StudyReport(study, out=tmp_path / "all", pictures=0, everybody=True, free_text=True).run()
     assert everybody.data["analysis"]["episodes"] == {"solo": 3, "still": 2}
     assert NOTHING["text"] in (tmp_path / "all" / "answers.csv").read_text().replace('""', '"')
+
+
+def changed(study: Path, folder: Path, statement: str, *values: object) -> Path:
+    """A copy of the study of which the database has been changed."""
+    path = copied(study, folder)
+    db = sqlite3.connect(folder / "tiny-1" / "study.sqlite")
+    db.execute(statement, values)
+    db.commit()
+    db.close()
+    return path
+
+
+def test_answers_are_exported_where_every_episode_came_late(study: Path, tmp_path: Path) -> None:
+    late = "update rows set data = json_set(data, '$.slipped', 9999) where stage like 'episode/%'"
+    path = changed(study, tmp_path / "late", late)
+    outcome = StudyReport(path, pictures=0).run()
+    out = tmp_path / "late" / "tiny-1" / "report"
+    assert sorted(file.name for file in out.iterdir()) == ["answers.csv", "study.json", "trials.csv"]
+    assert "4 episodes left out: more than 1% of the steps came late." in outcome.data["notes"]
+    assert [m["form"] for m in outcome.data["forms"]] == ["nasa_tlx", "nasa_tlx"]
+    assert len(list(csv.reader((out / "answers.csv").read_text().splitlines()))) == 1 + 2 * (2 * 6 + 1)
+    trials = list(csv.DictReader((out / "trials.csv").read_text().splitlines()))
+    assert {row["left_out"] for row in trials} == {"more than 1% of the steps came late"}
+    assert {row["late_steps"] for row in trials} == {"9999"}
+    with pytest.raises(InputError, match="No episode of people can be used"):
+        StudyCompare(path, tmp_path).run()
+
+
+def test_each_trial_is_a_row_with_its_place_time_and_metrics(study: Path, tmp_path: Path) -> None:
+    StudyReport(study, out=tmp_path / "out", pictures=0).run()
+    rows = list(csv.DictReader((tmp_path / "out" / "trials.csv").read_text().splitlines()))
+    folder, design = open_study(study)
+    people = [p for p in open_store(folder, design).participants.values() if p.progress.status == "complete"]
+    assert [row["participant"] for row in rows] == [p.id for p in people for _ in range(2)]
+    assert [(row["order"], row["block"], row["trial"]) for row in rows] == [("1", "1", "1"), ("2", "2", "1")] * 2
+    for row, block in zip(rows, [b for p in people for b in p.progress.place.blocks], strict=True):
+        assert (row["condition"], row["scene"], row["episode"]) == (
+            block.condition,
+            block.scene,
+            str(block.episodes[0]),
+        )
+        assert datetime.fromisoformat(row["ended_at"]).tzinfo is not None
+        assert float(row["seconds"]) == pytest.approx(int(row["steps"]) / 30, abs=1e-3)
+        assert row["SR"] == "1.0"
+        assert (folder / row["recording"]).is_file()
+
+
+def test_the_page_groups_recordings_by_condition_and_names_no_folder_of_the_machine(
+    study: Path, tmp_path: Path
+) -> None:
+    StudyReport(study.resolve(), out=tmp_path / "out", pictures=1, everybody=True).run()
+    html = (tmp_path / "out" / "report.html").read_text()
+    assert sorted(re.findall(r"<li>(\w+) \(\d episodes?\)", html)) == ["solo", "still"]
+    assert "CR: collision rate" in html.replace("Collision", "collision")
+    assert "estimated means with 95 % intervals" in html
+    assert "Paired differences</h2>" not in html, "people's single recordings are no pairs"
+    assert "h3data view recordings/" in html
+    for file in (tmp_path / "out").iterdir():
+        assert str(study.parent) not in file.read_text()
+
+
+def test_free_text_is_no_formula(study: Path, tmp_path: Path) -> None:
+    words = '=HYPERLINK("http://evil.example","a")'
+    path = changed(
+        study,
+        tmp_path / "evil",
+        "update rows set data = json_set(data, '$.answers.words', ?) where stage = 'form/you'",
+        words,
+    )
+    StudyReport(path, pictures=0, free_text=True, out=tmp_path / "out").run()
+    answers = [row[-1] for row in csv.reader((tmp_path / "out" / "answers.csv").read_text().splitlines())]
+    assert "'" + words in answers
+    assert not any(cell.startswith("=") for cell in answers)
+
+
+def test_weights_are_matched_by_digest_and_shipped_ones_by_name(tmp_path: Path) -> None:
+    shipped = network_of("learn_single").digest[:12]
+    people = [studied(f"weights:nets/a.npz@{'0' * 12}"), studied(f"weights:copy.npz@{shipped}"), studied("")]
+    names = _shipped()
+    assert names[shipped] == "learn_single"
+    automatic = [
+        replace(e, condition="") for e in (studied(f"weights:/elsewhere/b.npz@{'0' * 12}"), studied("learn_single"))
+    ]
+    first, second = (_by_policy(episodes, names) for episodes in (people, automatic))
+    assert [e.condition for e in first] == [second[0].policy, "learn_single", "c"]
+    assert [e.condition for e in second] == ["", ""]
+    assert second[1].policy == "learn_single"
+
+
+def studied(policy: str) -> ReportEpisode:
+    """An episode of a participant, as far as matching reads it."""
+    fields = dict.fromkeys((f.name for f in dataclasses.fields(ReportEpisode)), "")
+    return ReportEpisode(**{**fields, "policy": policy, "condition": "c", "participant": "P"})  # type: ignore[arg-type]
+
+
+def test_what_bots_have_played_is_found_from_the_study_file(study: Path, tmp_path: Path) -> None:
+    path = copied(study, tmp_path / "bots")
+    own = path.parent / "tiny-1"
+    own.rename(bots_folder(own))
+    assert open_study(path)[0] == bots_folder(own)
+    assert StudyStatus(path).run().data["statuses"]["complete"] == 2
+    own.mkdir()
+    shutil.copy(bots_folder(own) / "design.json", own)
+    with pytest.raises(InputError, match=r"bots have: .*tiny-1-bots"):
+        StudyStatus(path).run()
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import asyncio
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ import msgspec
 import pytest
 
 from h3data.recording import read_mcap
+from h3data_pipelines.studies.managing import StudyStatus
+from h3data_pipelines.studies.running import LOCK, keep_design
 from h3data_viewers.hitl.study.files import make_plan, open_store
 from sim_kinematic.tasks.resume import verify
 from tests.viewers.hitl.server import Server
@@ -66,7 +69,7 @@ def test_a_whole_study_is_played_and_its_recordings_say_by_whom_under_what(tmp_p
     assert kept.progress.rows["form/1/nasa_tlx"]["answers"]["effort"] == 0
 
 
-async def out_of_order(link: str) -> None:
+async def out_of_order(link: str, rejoin: Callable[[], str]) -> None:
     async with Participant(link) as person, Participant(link) as other:
         assert await person.ask("api/study/device", DEVICE) == 409, "nobody without consent"
         assert await person.sit() == 409
@@ -78,7 +81,7 @@ async def out_of_order(link: str) -> None:
         assert person.stage["status"] == "declined"
         assert not person.http.cookie_jar.filter_cookies(link), "nothing is kept of those who decline"
         await person.ask("api/study")
-        ids = {"PROLIFIC_PID": "one"}
+        ids = {"PROLIFIC_PID": "5f0000000000000000000abc"}
         assert await person.ask("api/study/consent", {"accept": True, "hash": person.stage["hash"], "ids": ids}) == 200
         assert await person.sit() == 409, "the device comes first"
         assert await person.ask("api/study/form", {"form": "nasa_tlx", "answers": {}}) == 409
@@ -92,8 +95,12 @@ async def out_of_order(link: str) -> None:
         await person.socket.close()
         await person.begin()
         assert person.step >= step, "a reload goes on"
-        # the same person in another browser: the seat moves there
+        # the same person in another browser: the seat moves there by the operator's link alone
         assert await other.ask("api/study", {"ids": ids}) == 200
+        assert other.stage["status"] == "elsewhere"
+        base, _, code = (await asyncio.to_thread(rejoin)).partition("?rejoin=")
+        assert base == link
+        assert await other.ask("api/study", {"rejoin": code}) == 200
         assert other.view["participant"] == person.view["participant"]
         await person.until(lambda: person.close_code == 4001)
         assert await person.ask("api/study") == 200
@@ -109,7 +116,14 @@ async def out_of_order(link: str) -> None:
 @pytest.mark.slow
 def test_nothing_can_be_skipped_and_a_seat_follows_its_participant(tmp_path: Path) -> None:
     with serve(tmp_path / "tiny-1", speed=1.0) as server:
-        asyncio.run(out_of_order(server.links[0]))
+        folder = tmp_path / "tiny-1"
+        keep_design(folder, tiny())
+        (folder / LOCK).write_text(server.links[0])  # as study run does
+
+        def rejoin() -> str:
+            return next(iter(StudyStatus(folder).run().result["rejoin"].values()))
+
+        asyncio.run(out_of_order(server.links[0], rejoin))
         server.stop()
 
 

@@ -4,6 +4,7 @@ forms, as a page would, and are marked as bots (``client.browser`` is ``bot``)."
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import math
 import random
 from collections.abc import Callable
@@ -34,30 +35,38 @@ class ScriptedParticipant(Client):
 
     view: dict[str, Any]
 
-    def __init__(self, link: str, name: str, report: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(
+        self, link: str, name: str, report: Callable[[str], None] = lambda _: None, *, pid: str = "", rejoin: str = ""
+    ) -> None:
         """
         Args:
             link: Of the study.
-            name: Its PROLIFIC_PID: who joins again under it goes on where they were.
+            name: What chance follows from.
             report: Called with what ended an episode.
+            pid: Its PROLIFIC_PID (default: 24 hexadecimal digits that follow from the name).
+            rejoin: Code by which it goes on where it was (`h3data_viewers.hitl.study.pseudonyms.rejoin_code`).
         """
         super().__init__(link)
-        self.name, self.report = name, report
+        self.name, self.report, self.rejoin = name, report, rejoin
+        self.pid = pid or hashlib.sha256(name.encode()).hexdigest()[:24]
         self.chance = random.Random(name)
         """Of the episode."""
 
     # --- the study ----------------------------------------------------------------------------------------------------
     async def take_part(self) -> str:
         """Does everything up to the end; returns the status there (``complete``, ``screened_out``, ...)."""
-        ids = {"PROLIFIC_PID": self.name, "STUDY_ID": "bots", "SESSION_ID": self.name}
-        await self._ask("api/study", {"ids": ids})
+        ids = {"PROLIFIC_PID": self.pid, "STUDY_ID": "bots", "SESSION_ID": self.name}
+        await self._ask("api/study", {"ids": ids, "rejoin": self.rejoin})
         while (kind := self.stage["kind"]) != "end":
             if kind == "consent":
                 await self._ask("api/study/consent", {"accept": True, "hash": self.stage["hash"], "ids": ids})
             elif kind == "device":
                 await self._ask("api/study/device", DEVICE)
             elif kind == "form":
-                await self._ask("api/study/form", {"form": self.stage["form"], "answers": self.answers()})
+                await self._ask(
+                    "api/study/form",
+                    {"form": self.stage["form"], "block": self.stage["block"], "answers": self.answers()},
+                )
             else:
                 await self._episode(is_tutorial=kind == "tutorial")
                 await self._ask("api/study")

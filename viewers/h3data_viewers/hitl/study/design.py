@@ -89,6 +89,8 @@ class Recruiting(Record, frozen=True):
 
     require_id: bool = False
     """Only people whose link has ``PROLIFIC_PID`` may take part."""
+    id_pattern: str | dict[str, str] | None = None
+    """Regular expression of a whole ``PROLIFIC_PID``, or of each id by its name; None: 24 hexadecimal digits."""
     completion_code: str = ""
     completion_url: str = ""
     """Opened at the end; ``{code}`` stands for the code."""

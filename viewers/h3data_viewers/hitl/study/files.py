@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -16,10 +17,11 @@ from h3data_viewers.hitl.live import Table
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.study.design import Block, Condition, Consent, Design, Form, Place, StudyPlan, Text
 from h3data_viewers.hitl.study.forms import BUILTIN, resolved
+from h3data_viewers.hitl.study.pseudonyms import IDS
 from h3data_viewers.hitl.study.store import DATABASE, StudyStore
 from h3data_viewers.hitl.study.texts import ENGLISH
 from sim_kinematic.policies.learned import PREFIX as WEIGHTS
-from sim_kinematic.policies.learned import is_learned, stamped
+from sim_kinematic.policies.learned import stamped
 
 DESIGN_FILE = "design.json"
 """In the folder of a study: what its file said when the first participant came."""
@@ -86,12 +88,23 @@ def _with_consent(design: Design, path: Path) -> Design:
 
 def _with_weights(design: Design, path: Path) -> Design:
     """Files of weights, named from the study file's folder, with their digest: other weights are another study."""
-    conditions = []
+    base, conditions = path.parent.resolve(), []
     for condition in design.conditions:
-        if condition.partner is not None and is_learned(condition.partner):
-            file = path.parent.resolve() / condition.partner.removeprefix(WEIGHTS)
+        if condition.partner is not None and condition.partner.startswith(WEIGHTS):
+            file = base / Path(condition.partner.removeprefix(WEIGHTS)).expanduser()
             condition = msgspec.structs.replace(condition, partner=stamped(f"{WEIGHTS}{file}"))
         conditions.append(condition)
+    return _with_relative(msgspec.structs.replace(design, conditions=conditions), base)
+
+
+def _with_relative(design: Design, base: Path) -> Design:
+    """Files of weights by their way from the study file's folder: a path of this machine is nobody else's business."""
+    conditions = [
+        msgspec.structs.replace(c, partner=WEIGHTS + os.path.relpath(c.partner.removeprefix(WEIGHTS), base))
+        if c.partner is not None and c.partner.startswith(f"{WEIGHTS}/")
+        else c
+        for c in design.conditions
+    ]
     return msgspec.structs.replace(design, conditions=conditions)
 
 
@@ -113,6 +126,7 @@ def _check(design: Design) -> None:
                 f"There is no text {unknown[0]!r} in [texts.{language}].{did_you_mean(unknown[0], ENGLISH)} Expected some of: "
                 f"{', '.join(ENGLISH)}."
             )
+    _check_patterns(design.recruiting.id_pattern)
     names = {c.name for c in design.conditions}
     forms = [resolved(_known(form)) for form in design.forms]
     for form in forms:
@@ -134,6 +148,23 @@ def _check(design: Design) -> None:
             raise InputError(f"A text is in the language {sorted(strange)[0]!r}, which languages does not name.")
         if isinstance(text, dict) and design.languages[0] not in text:
             raise InputError(f"A text lacks the study's first language, {design.languages[0]!r}: {text}")
+
+
+def with_id_pattern(design: Design, pattern: str | dict[str, str] | None) -> Design:
+    """The design with other formats of ids."""
+    recruiting = msgspec.structs.replace(design.recruiting, id_pattern=pattern)
+    return msgspec.structs.replace(design, recruiting=recruiting)
+
+
+def _check_patterns(given: str | dict[str, str] | None) -> None:
+    patterns = {"PROLIFIC_PID": given} if isinstance(given, str) else given or {}
+    for name, pattern in patterns.items():
+        if name not in IDS:
+            raise InputError(f"Unknown id {name!r} in id_pattern.{did_you_mean(name, IDS)} Expected: {', '.join(IDS)}.")
+        try:
+            re.compile(pattern)
+        except re.error as fault:
+            raise InputError(f"The id_pattern of {name} is not a regular expression ({fault}): {pattern!r}.") from None
 
 
 def _known(form: Form) -> Form:
@@ -164,6 +195,11 @@ def _distinct(what: str, names: list[str]) -> None:
 def study_folder(path: Path, design: Design) -> Path:
     """Where a study keeps what it records: beside its file, with its name and version."""
     return path.parent / f"{design.name}-{design.version}"
+
+
+def bots_folder(folder: Path) -> Path:
+    """Where scripted participants leave what would lie in a study's ``folder``."""
+    return folder.with_name(folder.name + "-bots")
 
 
 def deal(design: Design) -> tuple[Place, ...]:
@@ -206,6 +242,7 @@ def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
             plan = PlayPlan(
                 app=condition.app, out=str(folder.resolve()), seats=(condition.play_as,), partner=condition.partner,
                 scenes=scene, seed=design.seed, speed=speed, rules=condition.rules,
+                weights_in=str(folder.resolve().parent),
             )  # fmt: skip
             if not any(key.startswith(f"{name}|") for key in numbers):
                 _check_playable(name, plan)
@@ -239,12 +276,14 @@ def _tutorial(design: Design) -> Condition:
 
 
 def open_study(path: Path) -> tuple[Path, Design]:
-    """Folder and design of a study that has begun, from its file or its folder.
+    """Folder and design of a study that has begun, from its file or its folder; of one that only bots have played, theirs.
 
     Raises:
         InputError: there is none, or nobody has begun it.
     """
     folder = path if path.is_dir() else study_folder(path, read_design(path))
+    if not (folder / DESIGN_FILE).is_file() and (bots_folder(folder) / DESIGN_FILE).is_file():
+        folder = bots_folder(folder)
     try:
         design = msgspec.json.decode((folder / DESIGN_FILE).read_bytes(), type=Design)
     except FileNotFoundError:
@@ -256,7 +295,7 @@ def open_study(path: Path) -> tuple[Path, Design]:
         raise InputError(
             f"The study's {DESIGN_FILE} is damaged or of another version: {fault}. Folder: {folder}"
         ) from None
-    return folder, design
+    return folder, _with_relative(design, folder.resolve().parent)  # versions before 0.3 kept the whole path
 
 
 def open_store(folder: Path, design: Design, *, read_only: bool = True) -> StudyStore:
@@ -266,5 +305,7 @@ def open_store(folder: Path, design: Design, *, read_only: bool = True) -> Study
         InputError: nobody has taken part.
     """
     if not (folder / DATABASE).is_file():
-        raise InputError(f"Nobody has taken part in this study yet: {folder}. Hint: h3data study run begins it.")
+        bots = bots_folder(folder)
+        hint = f"bots have: {bots}" if (bots / DATABASE).is_file() else "h3data study run begins it."
+        raise InputError(f"Nobody has taken part in this study yet: {folder}. Hint: {hint}")
     return StudyStore(design, deal(design), folder, read_only=read_only)

@@ -14,6 +14,8 @@ from h3data_viewers.hitl.study.forms import checked_answers, forms_after
 
 ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN = "active", "complete", "screened_out", "dropped", "withdrawn"
 STATUSES = (ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN)
+SMALL = "small_window"
+"""Why a device is refused for now; also the row of its last report."""
 PASSED = "success"
 """How an episode of the tutorial ends that has been passed."""
 
@@ -85,7 +87,8 @@ class Progress:
 
     # --- what participants do -----------------------------------------------------------------------------------------
     def device(self, report: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        """Notes what is known about the device; where it is not good enough, that is the end.
+        """Notes what is known about the device; where it is not good enough, that is the end. A window that is too small can
+        be enlarged, and the check is made again, unless the report is the ``final`` one.
 
         Returns:
             The new rows.
@@ -98,17 +101,24 @@ class Progress:
         reasons = {
             "no_webgl": not report["webgl"],
             "slow_connection": report["ping_ms"] > limits.max_ping_ms,
-            "small_window": report["width"] < limits.min_width,
             "slow_graphics": report["fps"] < limits.min_fps,
             "touch": report["touch"] and not limits.touch,
+            SMALL: report["width"] < limits.min_width,
         }
         reason = next((name for name, holds in reasons.items() if holds), "")
+        if reason == SMALL and not report.get("final"):
+            return self._note({SMALL: report})
         if reason:
             self.end(SCREENED_OUT, reason)
         return self._note({"device": report})
 
-    def answer(self, form_id: str, answers: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    def answer(self, form_id: str, answers: dict[str, Any], block: int | None = None) -> dict[str, dict[str, Any]]:
         """Takes the answers of the form that is next.
+
+        Args:
+            form_id: The form that was filled in.
+            answers: By item.
+            block: The block that it was filled in for (`Stage.block`); None: the present one.
 
         Returns:
             The new rows.
@@ -117,12 +127,21 @@ class Progress:
             NotNow: another form is next, or an answer is missing or impossible.
         """
         stage = self._require("form")
-        if stage.form != form_id:
+        if stage.form != form_id or block not in (None, stage.block):
             raise NotNow("This form has been answered, or comes later. Reload the page.")
         taken, why = checked_answers(self.form, answers)
         if why:
             raise NotNow(why)
         return self._note({stage.key: {"form": form_id, "answers": taken}})
+
+    def require_here(self, block: int | None, trial: int | None) -> None:
+        """
+        Raises:
+            NotNow: a page names an episode (`Stage.block`, `Stage.trial`) that is not the present one.
+        """
+        stage = self.stage
+        if block not in (None, stage.block) or (stage.block and trial not in (None, stage.trial)):
+            raise NotNow("This page is of an earlier part of the study. Reload it.")
 
     @property
     def form(self) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import hmac
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,10 +21,18 @@ from h3data_viewers.hitl.seats import Game, Seat, new_token
 from h3data_viewers.hitl.study.design import StudyPlan
 from h3data_viewers.hitl.study.flow import DROPPED, WITHDRAWN, NotNow
 from h3data_viewers.hitl.study.orders import game_key, order_of, row_of
-from h3data_viewers.hitl.study.pseudonyms import read_key, recruit_ids
+from h3data_viewers.hitl.study.pseudonyms import read_key, recruit_ids, refused_id, rejoin_code
 from h3data_viewers.hitl.study.store import Participant, StudyStore
 from h3data_viewers.hitl.study.views import consent_view, end_view, stage_view
 
+CHECK_S, HURRIED_S = 60.0, 10.0
+"""A place is given back where the check of the computer, which takes seconds, does not come within this time; the shorter one
+holds while somebody else wants the place."""
+MOST_UNCHECKED = 3
+"""Participants of one network address who have agreed but whose computers have not been checked yet."""
+JOINS_S = 600.0
+"""An address may send as many new participants in this time as may take part from it at once."""
+TOKEN_LENGTH = len(new_token())
 WATCH_S = 5.0
 """Who has dropped out is looked for this often."""
 MOST_PAUSES = 200
@@ -36,6 +45,8 @@ class Hello(msgspec.Struct, frozen=True):
 
     ids: dict[Short, Annotated[str, Meta(max_length=200)]] = {}
     language: Short = ""
+    rejoin: Annotated[str, Meta(max_length=80)] = ""
+    """Code of a link by which a participant goes on in another browser."""
 
 
 class Answer(msgspec.Struct, frozen=True):
@@ -60,6 +71,8 @@ class DeviceReport(msgspec.Struct, frozen=True):
     browser: Short = ""
     system: Short = ""
     gpu: Short = ""
+    final: bool = False
+    """Whether a window that is too small cannot be enlarged."""
 
 
 class Filled(msgspec.Struct, frozen=True):
@@ -67,18 +80,30 @@ class Filled(msgspec.Struct, frozen=True):
 
     form: Short
     answers: dict[Short, Any]
+    block: int | None = None
+    """As the view named it."""
 
 
 class Pause(msgspec.Struct, frozen=True):
     """Body of ``api/study/pause``."""
 
     paused: bool
+    block: int | None = None
+    trial: int | None = None
+
+
+class Episode(msgspec.Struct, frozen=True):
+    """Body of ``api/session``: the episode that the page is about."""
+
+    block: int | None = None
+    trial: int | None = None
 
 
 class StudyFront(Front):
     """All participants of one study."""
 
     journal: StudyStore
+    seat_s = 30 * 86400
 
     def __init__(
         self, study: StudyPlan, *, workers: int = 1, open_door: bool = True, secure: bool = False,
@@ -106,6 +131,13 @@ class StudyFront(Front):
         self._key = read_key(Path(study.key_file))
         self._page = ""
         self._tasks: set[asyncio.Task[None]] = set()
+        self._unchecked: dict[int, tuple[str, float]] = {}
+        """Address and time (`time.monotonic`) of participants whose computers have not been checked, by number."""
+        for participant in self.journal.participants.values():
+            if participant.is_active and not participant.progress.rows:
+                self._unchecked[participant.number] = "", time.monotonic()
+        self._joins: dict[str, tuple[float, float]] = {}
+        """How many may still join from an address, and when that was so (`time.monotonic`)."""
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
@@ -154,16 +186,30 @@ class StudyFront(Front):
     async def hello(self, request: web.Request) -> web.Response:
         """Where the participant is; before consent, what they are asked to agree to."""
         body, token = await self._read(request, Hello), ""
-        participant = self._participant(request)
+        participant = self._participant(request, body.ids)
+        if body.rejoin and (participant is None or not participant.is_active):
+            participant, token = self._rejoining(body.rejoin), new_token()
+            await self._reseat(request, participant, token)
+        if participant is not None and self._is_other(participant, body.ids):
+            return self._answer(request, end_view(self.design, participant.language, "occupied"))
         if participant is None:
-            ids = recruit_ids(body.ids, self._key)
-            known = self.journal.by_id(ids["PROLIFIC_PID"]) if "PROLIFIC_PID" in ids else None
-            if known is None:
-                return self._answer(request, self._welcome(body.ids, self._language(body.language)))
-            participant, token = known, new_token()  # another browser, or cookies that are gone
-            await self._reseat(participant, token)
+            # the token is the browser's seat once somebody agrees there, in whichever of its tabs
+            if self._participant(request) is not None or not self._token(request):
+                token = new_token()
+            return self._answer(request, self._welcome(body.ids, self._language(body.language)), token)
         self.journal.saw(participant)
         return self._answer(request, self._view(participant), token)
+
+    def _rejoining(self, code: str) -> Participant:
+        for participant in self.journal.participants.values():
+            seat = self.journal.seat_of(participant)
+            if participant.is_active and seat is not None:
+                expected = rejoin_code(participant.id, seat.token, self._key)
+                if hmac.compare_digest(code.encode(), expected.encode()):
+                    return participant
+        raise web.HTTPForbidden(
+            text="This link has been used, or its session is over. Go on in the browser that has used it, or ask for another."
+        )
 
     async def ping(self, request: web.Request) -> web.Response:
         """Nothing, at once."""
@@ -173,7 +219,7 @@ class StudyFront(Front):
     async def consent(self, request: web.Request) -> web.Response:
         """A new participant; of those who decline only their number is kept."""
         body = await self._read(request, Answer)
-        participant, token = self._participant(request), ""
+        participant, token = self._participant(request, body.ids), self._token(request)
         language = self._language(body.language)
         if participant is None:
             view = self._welcome(body.ids, language)
@@ -181,36 +227,78 @@ class StudyFront(Front):
                 return self._answer(request, view)
             if not body.accept:
                 self.journal.count("declined")
-                return self._answer(request, end_view(self.design, language, "declined"))
+                answer = self._answer(request, end_view(self.design, language, "declined"))
+                if self._participant(request) is None:
+                    answer.del_cookie(self._cookie(0), path="/")
+                return answer
+            if not token or self._participant(request) is not None:
+                raise web.HTTPConflict(
+                    text="This browser has sent no cookie, by which the study knows it. Allow cookies and reload the page."
+                )
             if body.hash != view["stage"]["hash"]:
                 raise web.HTTPConflict(text="The text has been changed. Reload the page and read it again.")
             self._require_room_at(request)
+            self._require_patience(self._address(request))
             place = self.journal.free_place()
             assert place is not None, "the view would have been another one"
-            token = new_token()
             ids = recruit_ids(body.ids, self._key)
             pseudonym = ids.get("PROLIFIC_PID") or recruit_ids({"PROLIFIC_PID": token}, self._key)["PROLIFIC_PID"]
             agreed = {"version": self.design.consent.version, "sha256": body.hash}
             participant = self.journal.join(pseudonym, place, language=language, consent=agreed, ids=ids)
             self._note_address(request, self.journal.move(participant, token))
+            self._unchecked[participant.number] = self._address(request), time.monotonic()
             self.report({"joined": {"participant": pseudonym, "place": place}})
         return self._answer(request, self._view(participant), token)
+
+    def _require_patience(self, address: str) -> None:
+        """Counts a new participant of an address; refuses them where there were many."""
+        if sum(where == address for where, _ in self._unchecked.values()) >= MOST_UNCHECKED:
+            raise web.HTTPServiceUnavailable(
+                text="Others are just beginning at your network address. Try again in some seconds."
+            )
+        now, most = time.monotonic(), float(self.seats_per_address)
+        self._joins = {
+            where: (left, at) for where, (left, at) in self._joins.items() if left + (now - at) * most / JOINS_S < most
+        }
+        left, at = self._joins.get(address, (most, now))
+        left = min(most, left + (now - at) * most / JOINS_S)
+        if left < 1:
+            raise web.HTTPServiceUnavailable(
+                text="Many people have begun at your network address lately. Try again in some minutes."
+            )
+        self._joins[address] = left - 1, now
 
     async def device(self, request: web.Request) -> web.Response:
         """What the page has found out about the computer and its connection."""
         body = await self._read(request, DeviceReport)
-        return self._act(request, lambda p: p.progress.device(msgspec.to_builtins(body)))
+
+        def note(participant: Participant) -> dict[str, dict[str, Any]]:
+            rows = participant.progress.device(msgspec.to_builtins(body))
+            self._unchecked.pop(participant.number, None)
+            return rows
+
+        return self._act(request, note)
 
     async def form(self, request: web.Request) -> web.Response:
         """A form that has been filled in."""
         body = await self._read(request, Filled)
-        return self._act(request, lambda p: p.progress.answer(body.form, body.answers))
+
+        def answer(participant: Participant) -> dict[str, dict[str, Any]]:
+            progress = participant.progress
+            if body.block is None and sum(stage.form == body.form for stage in progress.stages) > 1:
+                raise NotNow(
+                    "This form is asked more than once, and the answers do not say for which block. Reload the page."
+                )
+            return progress.answer(body.form, body.answers, body.block)
+
+        return self._act(request, answer)
 
     async def pause(self, request: web.Request) -> web.Response:
         """Notes a pause, or its end. The world stands still by itself while nobody is connected to it."""
         body = await self._read(request, Pause)
 
         def note(participant: Participant) -> dict[str, dict[str, Any]]:
+            participant.progress.require_here(body.block, body.trial)
             count = sum(key.startswith("pause/") for key in participant.progress.rows)
             rows = {f"pause/{count + 1}": {"paused": body.paused}} if count < MOST_PAUSES else {}
             participant.progress.rows |= rows
@@ -277,15 +365,29 @@ class StudyFront(Front):
                 httponly=True,
                 samesite="Strict",
                 secure=self.secure,
-                max_age=30 * 86400,
+                max_age=self.seat_s,
                 path="/",
             )
         return answer
 
-    def _participant(self, request: web.Request) -> Participant | None:
+    def _token(self, request: web.Request) -> str:
+        """What the browser's cookie holds, if it can be one that this server gave; else nothing."""
         token = request.cookies.get(self._cookie(0), "")
+        return token if len(token) == TOKEN_LENGTH else ""
+
+    def _participant(self, request: web.Request, ids: dict[str, str] | None = None) -> Participant | None:
+        """Who has the browser's seat; nobody, if that is somebody who has finished and the link's ids are another's."""
+        token = self._token(request)
         seat = self.journal.owner(token, 0) if token else None
-        return None if seat is None else self.journal.participants.get(seat.place)
+        participant = None if seat is None else self.journal.participants.get(seat.place)
+        if participant is not None and not participant.is_active and self._is_other(participant, ids or {}):
+            return None
+        return participant
+
+    def _is_other(self, participant: Participant, ids: dict[str, str]) -> bool:
+        """Whether a link's ids are those of somebody else than ``participant``."""
+        given = recruit_ids(ids, self._key).get("PROLIFIC_PID")
+        return given is not None and given != participant.ids.get("PROLIFIC_PID", given)
 
     def _required(self, request: web.Request) -> Participant:
         participant = self._participant(request)
@@ -297,8 +399,17 @@ class StudyFront(Front):
         return wanted if wanted in self.design.languages else self.design.languages[0]
 
     def _welcome(self, ids: dict[str, str], language: str) -> dict[str, Any]:
-        if self.design.recruiting.require_id and not ids.get("PROLIFIC_PID"):
+        given = recruit_ids(ids, self._key)
+        if self.design.recruiting.require_id and "PROLIFIC_PID" not in given:
             return end_view(self.design, language, "need_id")
+        name, why = refused_id(ids, self.design.recruiting.id_pattern)
+        if why:
+            return end_view(self.design, language, why, name)
+        known = self.journal.by_id(given.get("PROLIFIC_PID", ""))
+        if self.journal.free_place() is None or (known is not None and known.number in self._unchecked):
+            self.release_unchecked(HURRIED_S)
+        if self.journal.by_id(given.get("PROLIFIC_PID", "")) is not None:
+            return end_view(self.design, language, "elsewhere")  # an id is known to others: it opens nothing
         if self.journal.free_place() is None:
             return end_view(self.design, language, "full")
         return consent_view(self.design, language)
@@ -309,10 +420,10 @@ class StudyFront(Front):
             self.preparer.ask(order_of(self.study, participant, game_key(participant, stage)))
         return stage_view(self.design, participant)
 
-    async def _reseat(self, participant: Participant, token: str) -> None:
+    async def _reseat(self, request: web.Request, participant: Participant, token: str) -> None:
         """Gives the seat to another browser; the one before is told so."""
         before = self.journal.seat_of(participant)
-        self.journal.move(participant, token)
+        self._note_address(request, self.journal.move(participant, token))
         for live in list(self.lives.values()):
             connection = live.sockets.get(before.sid) if before is not None else None
             if connection is not None:
@@ -321,6 +432,17 @@ class StudyFront(Front):
                         await connection.socket.close(code=ELSEWHERE)
 
     # --- episodes -----------------------------------------------------------------------------------------------------
+    async def sit(self, request: web.Request) -> web.Response:
+        """As of `Front`, if the page is about the episode that is next."""
+        body = await self._read(request, Episode)
+        participant = self._participant(request)
+        if participant is not None and participant.is_active:
+            try:
+                participant.progress.require_here(body.block, body.trial)
+            except NotNow as fault:
+                raise web.HTTPConflict(text=str(fault)) from None
+        return await super().sit(request)
+
     def _new_seat(self, token: str, number: int) -> Seat:
         raise web.HTTPConflict(text="This browser does not take part in the study yet. Reload the page.")
 
@@ -364,6 +486,19 @@ class StudyFront(Front):
         while True:
             await asyncio.sleep(WATCH_S)
             self.look_for_drop_outs(time.time())
+            self.release_unchecked(CHECK_S)
+
+    def release_unchecked(self, seconds: float) -> None:
+        """Forgets those whose computers have not been checked within so many seconds: their places and ids are free again."""
+        now = time.monotonic()
+        for number, (_, since) in list(self._unchecked.items()):
+            participant = self.journal.participants.get(number)
+            if participant is not None and participant.is_active and now - since < seconds:
+                continue
+            del self._unchecked[number]
+            if participant is not None and participant.is_active:
+                self.journal.remove(participant)
+                self.report({"released": {"participant": participant.id}})
 
     def look_for_drop_outs(self, now: float) -> None:
         """Ends the sessions of those who have done nothing for too long; a server that was down has seen nobody."""

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import hmac
 import os
+import re
 import secrets
 from pathlib import Path
 
 IDS = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
 """What links of the recruiting platform carry; all of it is hashed at once."""
+PATTERNS = {"PROLIFIC_PID": "[0-9a-fA-F]{24}"}
+"""Formats of ids for which the study file gives none (``[recruiting] id_pattern``)."""
+ANY = ".*"
+_PLACEHOLDER = re.compile(r"[{}<>%$\[\]]")
 
 
 def read_key(path: Path) -> bytes:
@@ -25,4 +33,40 @@ def recruit_ids(given: dict[str, str], key: bytes) -> dict[str, str]:
     """Pseudonyms of the ids that a link has brought; unknown and empty ones are left out."""
     from h3data.pseudonyms import anonymous_id  # light: it imports nothing but the standard library
 
-    return {name: anonymous_id(given[name], key=key) for name in IDS if given.get(name, "").strip()}
+    ids = {name: given.get(name, "").strip() for name in IDS}
+    # the same digits in capitals are the same person
+    ids = {
+        name: value.lower() if re.fullmatch(PATTERNS["PROLIFIC_PID"], value) else value for name, value in ids.items()
+    }
+    return {name: anonymous_id(value, key=key) for name, value in ids.items() if value}
+
+
+def refused_id(given: dict[str, str], patterns: str | dict[str, str] | None) -> tuple[str, str]:
+    """Return the name of the first id that is not one, and why, as a name in `texts.ENGLISH`; empty texts if all are.
+
+    Args:
+        given: What the link has brought.
+        patterns: Regular expressions of whole ids by name, or that of ``PROLIFIC_PID``, as in the study file.
+    """
+    own = {"PROLIFIC_PID": patterns} if isinstance(patterns, str) else patterns or {}
+    for name in IDS:
+        value = given.get(name, "").strip()
+        if not value:
+            continue
+        if _PLACEHOLDER.search(value) or value.strip("_:#@ ").upper() == name:
+            return name, "placeholder"
+        if not re.fullmatch(own.get(name, PATTERNS.get(name, ANY)), value):
+            return name, "bad_id"
+    return "", ""
+
+
+def rejoin_code(pseudonym: str, seat: str, key: bytes) -> str:
+    """Return the code by which a participant goes on in another browser, once: another seat has another code.
+
+    Args:
+        pseudonym: Of the participant.
+        seat: Digest of the token of their present seat.
+        key: Secret of the study.
+    """
+    code = hmac.digest(key, f"rejoin|{pseudonym}|{seat}".encode(), hashlib.sha256)
+    return base64.urlsafe_b64encode(code[:24]).decode()

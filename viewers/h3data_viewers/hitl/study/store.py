@@ -166,6 +166,12 @@ class StudyStore(Journal):
 
     def forget(self, participant: Participant) -> dict[str, int]:
         """Deletes a participant; returns how many entries of each kind there were. What is deleted is overwritten."""
+        removed = self.remove(participant)
+        self._db.execute("vacuum")
+        return removed
+
+    def remove(self, participant: Participant) -> dict[str, int]:
+        """As `forget`, but leaves the file as long as it is, which does not stop those who play."""
         number = participant.number
         removed: dict[str, int] = {}
         with self._transaction():
@@ -176,7 +182,6 @@ class StudyStore(Journal):
                 ("games", "delete from games where place = ?"),
             ):
                 removed[what] = self._db.execute(statement, (number,)).rowcount
-        self._db.execute("vacuum")
         del self.participants[number]
         self.seats = {sid: seat for sid, seat in self.seats.items() if seat.place != number}
         self.games = {key: game for key, game in self.games.items() if game.place != number}

@@ -45,6 +45,10 @@ ENGLISH: dict[str, str] = {
     "no_webgl": "this browser cannot show 3D pictures (WebGL).",
     "slow_connection": "the connection to the server is too slow.",
     "small_window": "the window is too small.",
+    "small_window_again": "The window is too small for this study: turn the device to landscape, or enlarge the window, and "
+    "try again.",
+    "try_again": "Try again",
+    "cannot_enlarge": "It cannot be larger",
     "slow_graphics": "this computer draws 3D pictures too slowly.",
     "touch": "this study needs a keyboard.",
     "tutorial_failed": "the practice was not completed.",
@@ -56,6 +60,17 @@ ENGLISH: dict[str, str] = {
     "full": "Thank you for your interest. There is no place left in this study at the moment.",
     "need_id_title": "This link is not complete",
     "need_id": "Please open the study by the link of the recruiting site.",
+    "placeholder_title": "This link is not complete",
+    "placeholder": "The recruiting site has not filled in {reason}: the link still has a placeholder in its place. Please open "
+    "the study by the link of the recruiting site, or ask the contact below.",
+    "bad_id_title": "This link is not right",
+    "bad_id": "The {reason} in this link does not have the form of an id of the recruiting site. Please open the study by the "
+    "link of the recruiting site, or ask the contact below.",
+    "elsewhere_title": "This id takes part already",
+    "elsewhere": "Somebody takes part, or has taken part, with this id in another browser. Please go on in that browser. If "
+    "you cannot, ask the contact below for a link with which you can go on here.",
+    "occupied_title": "Somebody else takes part in this browser",
+    "occupied": "The session of another participant goes on in this browser. Please use another browser, or a private window.",
 }
 
 

@@ -6,7 +6,7 @@ import hashlib
 from typing import Any
 
 from h3data_viewers.hitl.study.design import Design, Form
-from h3data_viewers.hitl.study.flow import COMPLETE, SCREENED_OUT
+from h3data_viewers.hitl.study.flow import COMPLETE, SCREENED_OUT, SMALL
 from h3data_viewers.hitl.study.store import Participant
 from h3data_viewers.hitl.study.texts import words
 
@@ -78,7 +78,9 @@ def stage_view(design: Design, participant: Participant) -> dict[str, Any]:
     if stage.kind == "end":
         return end_view(design, language, progress.status, progress.reason, **more)
     told: dict[str, Any] = {"kind": stage.kind}
-    if stage.kind == "tutorial":
+    if stage.kind == "device":
+        told["again"] = said["small_window_again"] if SMALL in progress.rows else ""
+    elif stage.kind == "tutorial":
         attempt, of = progress.attempts + 1, design.tutorial.attempts
         text = design.say(design.tutorial.text, language) or said["tutorial"]
         if attempt > 1:
@@ -97,7 +99,7 @@ def stage_view(design: Design, participant: Participant) -> dict[str, Any]:
             else said["episode_next"],
         }
     elif stage.kind == "form":
-        told |= _form(design, progress.form, language)
+        told |= {"block": stage.block, **_form(design, progress.form, language)}
     return _page(design, language, told, **more)
 
 

@@ -16,13 +16,15 @@ const query = new URLSearchParams(location.search);
 export interface Around {
   /** Label of the button that follows the last picture; empty: the server says whether there is a next episode. */
   next: string;
+  /** What the server is told about the episode that the page asks for. */
+  asked(): object;
   /** A chance to offer more once the link is there, such as a pause; `signal` says when the episode is left. */
   began(net: Net, hud: Hud, signal: AbortSignal): void;
   /** Whether what follows is another episode, so that a headset may be kept on for it. */
   followed(): Promise<boolean>;
 }
 
-const ALONE: Around = { next: "", began: () => undefined, followed: () => Promise.resolve(true) };
+const ALONE: Around = { next: "", asked: () => ({}), began: () => undefined, followed: () => Promise.resolve(true) };
 
 /** Plays the episode of this browser's seat; what goes wrong is said on the page. */
 export async function play(hud: Hud, around: Around = ALONE): Promise<void> {
@@ -36,7 +38,7 @@ export async function play(hud: Hud, around: Around = ALONE): Promise<void> {
 }
 
 async function begin(hud: Hud, around: Around, before?: Game): Promise<void> {
-  const seat = await takeSeat((text) => hud.phase("loading", "Loading the home", text));
+  const seat = await takeSeat(around.asked(), (text) => hud.phase("loading", "Loading the home", text));
   performance.mark("seat");
   const { manifest } = seat;
   const world = await World.load(seat.glb, manifest);

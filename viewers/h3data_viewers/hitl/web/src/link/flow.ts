@@ -25,9 +25,9 @@ const BUSY = 503;
 const BUSY_TRIES = 40;
 const BUSY_MS = 3000;
 
-export async function takeSeat(progress: (text: string) => void): Promise<Seat> {
+export async function takeSeat(asked: object, progress: (text: string) => void): Promise<Seat> {
   progress("The home is being set up.");
-  const answer = await seat(progress);
+  const answer = await seat(asked, progress);
   const manifest = answer.manifest as Manifest;
   progress("The home is on its way.");
   const [glb, grid] = await Promise.all([bytes(answer.glb as string), bytes(manifest.sdf.url)]);
@@ -38,10 +38,10 @@ export async function takeSeat(progress: (text: string) => void): Promise<Seat> 
 }
 
 /** Tries again while the machine is busy with others. */
-async function seat(progress: (text: string) => void): Promise<Record<string, unknown>> {
+async function seat(asked: object, progress: (text: string) => void): Promise<Record<string, unknown>> {
   for (let k = 1; ; k++) {
     try {
-      return await post("api/session", {});
+      return await post("api/session", asked);
     } catch (error) {
       if (!(error instanceof Refused) || error.status !== BUSY || k === BUSY_TRIES) throw error;
       progress(`${error.message} This page tries by itself.`);

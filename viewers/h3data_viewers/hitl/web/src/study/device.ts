@@ -11,6 +11,8 @@ export interface DeviceReport {
   browser: string;
   system: string;
   gpu: string;
+  /** Whether a window that is too small cannot be enlarged. */
+  final?: boolean;
 }
 
 const PINGS = 9;

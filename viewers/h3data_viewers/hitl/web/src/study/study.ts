@@ -10,17 +10,35 @@ import { questions } from "./form.ts";
 import { word, type Stage, type View } from "./view.ts";
 
 const IDS = ["PROLIFIC_PID", "STUDY_ID", "SESSION_ID"];
+const SETTLED_MS = 600;
 const page = document.getElementById("study")!;
 
 /** Leads through the study. */
 export async function takePart(hud: Hud): Promise<void> {
   const study = new Study(hud);
-  await study.ask("api/study", { ids: study.ids });
+  const rejoin = new URLSearchParams(location.search).get("rejoin") ?? "";
+  await study.ask("api/study", { ids: study.ids, rejoin });
+}
+
+/** The episode that a page is about: the server refuses what comes from an old tab. */
+interface Asked {
+  block: number;
+  trial?: number;
+}
+
+/** Ids and codes of the link leave the address bar once they are no longer needed. */
+function cleanAddress(): void {
+  const query = new URLSearchParams(location.search);
+  const before = query.size;
+  for (const name of [...IDS, "rejoin"]) query.delete(name);
+  if (query.size !== before) history.replaceState(null, "", `${location.pathname}${query.size ? `?${query}` : ""}`);
 }
 
 class Study {
   readonly ids: Record<string, string> = {};
   private view: View | null = null;
+  /** Ends the wait for a larger window. */
+  private turned: AbortController | null = null;
 
   constructor(private readonly hud: Hud) {
     const query = new URLSearchParams(location.search);
@@ -48,6 +66,8 @@ class Study {
 
   private show(view: View): void {
     this.view = view;
+    this.turned?.abort();
+    if (view.participant && view.stage.kind !== "device") cleanAddress();
     document.title = view.title;
     document.documentElement.lang = view.language;
     document.body.dataset.state = "study";
@@ -72,15 +92,14 @@ class Study {
       case "consent":
         return this.consent(view, stage);
       case "device":
-        void deviceReport().then((report) => this.ask("api/study/device", report));
-        return [title(word(view, "device_title")), make("p", { textContent: word(view, "device") })];
+        return this.device(view, stage.again);
       case "tutorial":
-        return [title(word(view, "tutorial_title")), ...paragraphs(stage.text), this.playButton(view)];
+        return [title(word(view, "tutorial_title")), ...paragraphs(stage.text), this.playButton(view, { block: 0 })];
       case "episode": {
         const { block, blocks, trial, trials } = stage;
         const part = word(view, "block_title", { block, blocks });
         const above = make("p", { className: "above", textContent: part });
-        return [above, title(word(view, "episode_title", { trial, trials })), ...paragraphs(stage.text), this.playButton(view)];
+        return [above, title(word(view, "episode_title", { trial, trials })), ...paragraphs(stage.text), this.playButton(view, { block, trial })];
       }
       case "form":
         return this.form(view, stage);
@@ -93,9 +112,6 @@ class Study {
     const { language } = view;
     const reply = (accept: boolean) => async (): Promise<void> => {
       await this.ask("api/study/consent", { accept, hash: stage.hash, ids: this.ids, language });
-      const ids = new URLSearchParams(location.search);
-      for (const name of IDS) ids.delete(name);
-      if (accept) history.replaceState(null, "", `${location.pathname}${ids.size ? `?${ids}` : ""}`);
     };
     const nodes: Node[] = [title(view.title), ...paragraphs(stage.about)];
     if (view.languages.length > 1) nodes.push(this.languages(view));
@@ -104,6 +120,30 @@ class Study {
     nodes.push(text, make("ul", {}, ...stage.facts.map((fact) => make("li", { textContent: fact }))));
     const actions = [button(word(view, "agree"), reply(true), true), button(word(view, "decline"), reply(false))];
     return [...nodes, make("p", { className: "actions" }, ...actions)];
+  }
+
+  /** Checks the computer; where the window was too small, once it has another size or somebody asks for it. */
+  private device(view: View, again: string): Node[] {
+    const check = async (final = false): Promise<void> => {
+      await this.ask("api/study/device", { ...(await deviceReport()), final });
+    };
+    const nodes: Node[] = [title(word(view, "device_title"))];
+    if (!again) {
+      void check();
+      return [...nodes, make("p", { textContent: word(view, "device") })];
+    }
+    this.turned = new AbortController();
+    const { signal } = this.turned;
+    let settled = 0;
+    addEventListener("resize", () => {
+      clearTimeout(settled);
+      settled = setTimeout(() => void (signal.aborted || check()), SETTLED_MS);
+    }, { signal });
+    const actions = [
+      button(word(view, "try_again"), () => check(), true),
+      button(word(view, "cannot_enlarge"), () => check(true)),
+    ];
+    return [...nodes, make("p", { textContent: again }), make("p", { className: "actions" }, ...actions)];
   }
 
   private languages(view: View): Node {
@@ -122,7 +162,7 @@ class Study {
     const asked = questions(stage.items, word(view, "required"));
     const send = async (): Promise<void> => {
       const answers = asked.answers();
-      if (answers) await this.ask("api/study/form", { form: stage.form, answers });
+      if (answers) await this.ask("api/study/form", { form: stage.form, block: stage.block, answers });
     };
     return [
       ...(stage.heading ? [title(stage.heading)] : []),
@@ -161,7 +201,8 @@ class Study {
   }
 
   /** Begins or goes on with the episode in this page. */
-  private playButton(view: View): Node {
+  private playButton(view: View, first: Asked): Node {
+    let asked = first;
     const begin = button(
       word(view, "begin"),
       () => {
@@ -169,13 +210,15 @@ class Study {
         page.replaceChildren();
         void play(this.hud, {
           next: word(view, "next"),
+          asked: () => asked,
           followed: async () => {
             const { stage } = (await post("api/study", { ids: this.ids })) as unknown as View;
+            if (stage.kind === "episode") asked = { block: stage.block, trial: stage.trial };
             return stage.kind === "episode";
           },
           began: (net, hud, signal) => {
             const resume = (): void => {
-              void post("api/study/pause", { paused: false });
+              void post("api/study/pause", { paused: false, ...asked });
               hud.phase("lost", word(view, "paused_title"), "");
               net.resume();
             };
@@ -183,7 +226,7 @@ class Study {
             hud.on("button-pause", () => {
               if (!hud.playing) return;
               net.pause();
-              void post("api/study/pause", { paused: true });
+              void post("api/study/pause", { paused: true, ...asked });
               hud.phase("paused", word(view, "paused_title"), word(view, "paused"), word(view, "go_on"), resume);
             }, signal);
           },

@@ -26,10 +26,10 @@ export interface Item {
 
 export type Stage =
   | { kind: "consent"; about: string; text: string; facts: string[]; version: string; hash: string }
-  | { kind: "device" }
+  | { kind: "device"; again: string }
   | { kind: "tutorial"; attempt: number; of: number; text: string }
   | { kind: "episode"; block: number; blocks: number; trial: number; trials: number; text: string }
-  | { kind: "form"; form: string; heading: string; text: string; items: Item[] }
+  | { kind: "form"; block: number; form: string; heading: string; text: string; items: Item[] }
   | { kind: "end"; status: string; reason: string; heading: string; text: string; code: string; url: string };
 
 /** A text of the page, with its numbers filled in. */

@@ -1,9 +1,9 @@
-"""Reads OBJ, PLY, STL and Collada files through trimesh: colours of vertices, faces and materials, and textures."""
+"""Reads OBJ, PLY and STL files through trimesh: colours of vertices, faces and materials, and textures."""
 
 from __future__ import annotations
 
+import io
 import logging
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,12 @@ from h3data.files import path_inside
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR
 from h3data.mesh.images import picture_texture
 from h3data.mesh.mesh import Mesh, Texture
+from h3data.mesh.readers.material_files import material_uv, mtl_with_plain_names
+from h3data.mesh.readers.polygon_files import obj_of_triangles, ply_of_triangles
 
 _log = logging.getLogger(__name__)
 
-COLLADA_HINT = "Hint: pip install 'h3data[collada]'"
+_TRIANGLES_OF = {"obj": obj_of_triangles, "ply": ply_of_triangles}
 
 
 def read_with_trimesh(path: Path) -> list[Mesh]:
@@ -29,29 +31,22 @@ def read_with_trimesh(path: Path) -> list[Mesh]:
     """
     import trimesh
 
-    if path.suffix.lower() == ".dae" and find_spec("collada") is None:
-        raise SceneError(f"Collada needs the package pycollada. {COLLADA_HINT}")
-
-    beside = _Beside(path.parent)
+    beside = FilesBeside(path)
     resolver: Any = beside
-    with path.open("rb") as file, np.errstate(all="ignore"):  # such values are refused afterwards
-        scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), resolver=resolver, process=False)
-    if beside.outside:
-        _log.warning(
-            "the name %r leads out of the file's folder, which is not followed: its surfaces show other colours: %s",
-            *(beside.outside[0], path),
-        )
-    elif beside.missing:
-        _log.warning("there is no file %r beside it, its surfaces show other colours: %s", beside.missing[0], path)
+    kind = path.suffix[1:].lower()
+    with np.errstate(all="ignore"):  # such values are refused afterwards
+        data = io.BytesIO(_TRIANGLES_OF.get(kind, bytes)(path.read_bytes()))
+        scene = trimesh.load_scene(data, file_type=kind, resolver=resolver, process=False)
+    beside.warn()
     geometries = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
     return [_mesh(g, path) for g in geometries if isinstance(g, trimesh.Trimesh) and len(g.faces)]
 
 
-class _Beside:
-    """Gives trimesh the files that a mesh file names; keeps the names of those that lie outside or are missing."""
+class FilesBeside:
+    """Gives readers the files that a mesh file names; keeps the names of those that lie outside or are missing."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self.outside: list[str] = []
         self.missing: list[str] = []
 
@@ -62,12 +57,25 @@ class _Beside:
             self.outside.append(text[:200])
             raise FileNotFoundError(text)
         try:
-            return (self._folder / clean).read_bytes()
+            data = (self._path.parent / clean).read_bytes()
         except OSError:
             self.missing.append(text[:200])
             raise
+        return mtl_with_plain_names(data) if clean.lower().endswith(".mtl") else data
 
     __getitem__ = get
+
+    def warn(self) -> None:
+        """One warning for the first name that led nowhere."""
+        if self.outside:
+            _log.warning(
+                "the name %r leads out of the file's folder, which is not followed: its surfaces show other colours: %s",
+                *(self.outside[0], self._path),
+            )
+        elif self.missing:
+            _log.warning(
+                "there is no file %r beside it, its surfaces show other colours: %s", self.missing[0], self._path
+            )
 
 
 def _mesh(geometry: Any, path: Path) -> Mesh:
@@ -93,7 +101,7 @@ def _mesh(geometry: Any, path: Path) -> Mesh:
     if image is not None and getattr(image, "format", None) is None:
         material = image = None  # trimesh's stand-in for a missing material
     texture = None if image is None or uv is None or len(uv) != len(vertices) else _texture(image, material, path)
-    if texture is None:
+    if texture is None or uv is None:
         factor = _first(material, "diffuse", "baseColorFactor")
         color = DEFAULT_COLOR if factor is None else np.asarray(factor)[:3].astype(np.uint8)
         colors = np.full((len(vertices), 3), color, np.uint8)
@@ -103,7 +111,7 @@ def _mesh(geometry: Any, path: Path) -> Mesh:
         faces=faces,
         colors=np.full((len(vertices), 3), 255, np.uint8),
         normals=normals,
-        uv=_uv(uv),
+        uv=_uv(material_uv(material, uv)),
         textures=(texture,),
     )
 

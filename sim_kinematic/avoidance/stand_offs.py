@@ -1,0 +1,86 @@
+"""Stand-offs: two agents that stay close together although neither gets on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import NamedTuple
+
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.yielding import Body
+
+
+class Errand(NamedTuple):
+    """What an agent is about, as far as it tells whether the agent gets on."""
+
+    busy: bool
+    """It has something to do."""
+    leg: Hashable
+    """What it does now; another value is another way to go."""
+    left_m: Callable[[], float]
+    """Gives the length of the path that it has still to go; infinite: it goes nowhere."""
+    completed: int
+    """So many things it has completed."""
+    obeys: bool = True
+    """It can be told to go elsewhere: nobody drives it from outside."""
+
+
+@dataclass
+class Encounter:
+    """Two agents near each other."""
+
+    steps: int = 0
+    """For so long neither has got on, near each other all the time."""
+    rounds: int = 0
+    """So often one of them was sent away since either has got on."""
+    completed: tuple[int, ...] = ()
+    legs: dict[int, tuple[Hashable, float]] = field(default_factory=dict)
+    """What each was about, and how far it had to go when that began or they met."""
+
+
+class StandOffs:
+    """Counts, for every pair of agents, for how long neither has got on."""
+
+    def __init__(self, walkers: Sequence[Body], numbers: Sequence[int], errand: Callable[[int], Errand]) -> None:
+        self._walkers = dict(zip(numbers, walkers, strict=True))
+        self._encounters = {pair: Encounter() for pair in combinations(numbers, 2)}
+        self.errand = errand
+
+    def of(self, a: int, b: int) -> Encounter:
+        """Returns the encounter of two agents."""
+        return self._encounters[min(a, b), max(a, b)]
+
+    def update(self) -> list[tuple[int, int]]:
+        """Counts one step; returns the pairs in which neither has got on for long, though one has something to do."""
+        stuck = []
+        for pair, encounter in self._encounters.items():
+            (x, z), (other_x, other_z) = (self._walkers[number].xz.tolist() for number in pair)
+            if math.hypot(other_x - x, other_z - z) > AVOIDANCE.stand_off_m:
+                encounter.steps = 0
+                encounter.legs.clear()
+                continue
+            encounter.steps += 1
+            errands = {number: self.errand(number) for number in pair}
+            if self._gets_on(encounter, errands):
+                encounter.steps = encounter.rounds = 0
+                continue
+            driven = not all(errand.obeys for errand in errands.values())
+            if encounter.steps > AVOIDANCE.stand_off_steps[driven] and any(errand.busy for errand in errands.values()):
+                stuck.append(pair)
+        return stuck
+
+    def _gets_on(self, encounter: Encounter, errands: dict[int, Errand]) -> bool:
+        completed = tuple(errand.completed for errand in errands.values())
+        gets_on = completed != encounter.completed and len(encounter.completed) > 0
+        encounter.completed = completed
+        for number, errand in errands.items():
+            leg, before = encounter.legs.get(number, (None, math.inf))
+            if number not in encounter.legs or leg != errand.leg:
+                encounter.legs[number] = errand.leg, errand.left_m()
+            elif encounter.steps % AVOIDANCE.looks_steps == 0 and math.isfinite(before):
+                gets_on |= before - errand.left_m() > AVOIDANCE.gets_on_m
+        if gets_on:
+            encounter.legs.clear()
+        return gets_on

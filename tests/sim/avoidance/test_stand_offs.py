@@ -1,0 +1,180 @@
+"""Two agents near each other of which neither gets on: counted, and ended."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import shapely
+from numpy.typing import NDArray
+
+from benchmarks import standoff
+from h3data.recording import Recording
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.skills import ALL_SKILLS, Action, Ending
+from sim_kinematic.avoidance.right_of_way import RightOfWay
+from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
+from sim_kinematic.avoidance.stand_offs import Errand
+from sim_kinematic.avoidance.yielding import NO_PATH
+from sim_kinematic.policies.rearrange import Planner
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.runner import simulate
+from tests.sim.avoidance.test_right_of_way import floor_of
+
+
+@dataclass(eq=False)
+class Figure:
+    """Somebody who stands where they stand, or goes aside as they are told."""
+
+    number: int
+    xz: NDArray[np.float64]
+    path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
+    is_robot: bool = False
+    yields: bool = True
+    heading: float = 0.0
+    footprint: Footprint = AVOIDANCE.person
+    aside: NDArray[np.float64] | None = None
+    hindered_by: frozenset[int] = frozenset()
+    obeys: bool = True
+    completed: int = 0
+    left_m: float = 4.0
+
+    @property
+    def path_start(self) -> NDArray | None:
+        return self.path[0] if len(self.path) else None
+
+    def go(self, stride: float = 0.04) -> None:
+        if self.aside is not None and len(self.aside):
+            leg = self.aside[0] - self.xz
+            self.xz = self.xz + leg * min(stride / max(float(np.hypot(*leg)), 1e-9), 1.0)
+
+
+@pytest.fixture(scope="module")
+def rooms() -> FreeSpace:
+    """Two rooms 5 m wide with a doorway between them."""
+    return floor_of(shapely.box(0, 0, 5, 4), shapely.box(4.9, 1.5, 5.6, 2.5), shapely.box(5.5, 0, 10.5, 4))
+
+
+def face_to_face(free: FreeSpace, *, asks: bool = True) -> tuple[list[Figure], RightOfWay]:
+    """Two people on either side of the doorway who want to get through."""
+    a, b = np.array([4.6, 2.0]), np.array([6.0, 2.0])
+    figures = [Figure(0, a, np.array([a, [9.0, 2.0]])), Figure(1, b, np.array([b, [1.0, 2.0]]))]
+
+    def errand(number: int) -> Errand:
+        me = figures[number]
+        return Errand(me.obeys, number, lambda: me.left_m, me.completed, me.obeys)
+
+    return figures, RightOfWay(free, figures, errand, asks=asks)
+
+
+def far_apart_after(figures: list[Figure], rules: RightOfWay, steps: int) -> tuple[int, list[bool]]:
+    """The first step in which they are out of each other's way, -1 if none, and who was told to go in any step."""
+    told, first = [False, False], -1
+    for step in range(steps):
+        rules.update()
+        for figure in figures:
+            told[figure.number] |= figure.aside is not None
+            figure.go()
+        if first < 0 and math.dist(*(figure.xz for figure in figures)) > AVOIDANCE.stand_off_m:
+            first = step
+    return first, told
+
+
+@pytest.mark.parametrize("driven", [0, 1])
+def test_who_can_be_told_leaves_the_doorway_to_who_is_driven(rooms: FreeSpace, driven: int) -> None:
+    figures, rules = face_to_face(rooms, asks=False)
+    figures[driven].obeys, figures[driven].path = False, NO_PATH
+    first, told = far_apart_after(figures, rules, 299)
+    assert AVOIDANCE.stand_off_steps[1] < first < 299, "far from each other before it is a stand-off"
+    assert told == [number != driven for number in (0, 1)]
+
+
+def test_one_is_sent_away_and_the_next_time_the_other(rooms: FreeSpace) -> None:
+    figures, rules = face_to_face(rooms, asks=False)
+    turns: list[int] = []
+    for _ in range(4 * AVOIDANCE.stand_off_steps[0]):  # nobody goes, so one gives up and it is the other's turn
+        rules.update()
+        turns += [figure.number for figure in figures if figure.aside is not None and figure.number not in turns[-1:]]
+    assert turns[:3] in ([0, 1, 0], [1, 0, 1])
+
+
+@pytest.mark.parametrize("how", ["completes", "shortens its path", "is far"])
+def test_nobody_who_gets_on_is_sent_away(rooms: FreeSpace, how: str) -> None:
+    figures, rules = face_to_face(rooms, asks=False)
+    if how == "is far":
+        figures[1].xz = np.array([9.0, 2.0])
+    for step in range(3 * AVOIDANCE.stand_off_steps[0]):
+        figures[0].completed += how == "completes" and step % 50 == 49
+        figures[0].left_m -= 0.02 * (how == "shortens its path")
+        rules.update()
+        assert all(figure.aside is None for figure in figures), step
+
+
+def test_a_planner_comes_back_to_what_others_kept_it_from() -> None:
+    view: Any = SimpleNamespace(
+        last=None, action=None, held_by=np.array([-1, -1]), agent=1, left_to_do=lambda: [0, 1], barrier=lambda k, at: -1
+    )
+    for reason, goes_on in (("blocked", True), ("stuck", False)):
+        planner = Planner((0,))
+        view.last, view.action = Ending("failed", reason), Action("nav_to_object", 0)
+        chosen = [planner.act(view) for _ in range(5)]
+        assert (chosen[-1].skill == "nav_to_object") == goes_on
+
+
+# --- the counter ------------------------------------------------------------------------------------------------------
+def recorded(steps: int, gap_m: float, *, done: tuple[int, ...] = (), walks_mps: float = 0.0) -> Recording:
+    """A robot that waits, and a person on their way to an object straight ahead."""
+    poses = np.zeros((2, steps, 7))
+    poses[0, :, 0], poses[:, :, 2] = 1.0, 2.0
+    poses[1, :, 0] = 1.0 + gap_m + walks_mps * np.arange(steps) / 30
+    columns = {f"agent_{k}.base_pose": poses[k] for k in range(2)}
+    for k, skill in enumerate(("wait", "nav_to_object")):
+        columns[f"agent_{k}.skill"] = np.full(steps, ALL_SKILLS.index(skill))
+        columns[f"agent_{k}.skill_target"] = np.zeros(steps, np.int64)
+    columns["metrics.dist_agents"] = poses[1, :, 0] - poses[0, :, 0]
+    columns["object_pose"] = np.tile([9.0, 0.8, 2.0, 0, 0, 0, 1], (steps, 1, 1))
+    spans = [SimpleNamespace(end_step=step, outcome="done", name="pick") for step in done]
+    info = {"goals": [{"position": [2.0, 0.8, 1.0]}]}
+    return cast(Recording, Recorded(columns=columns, skills=spans, episode=SimpleNamespace(info=info), steps=steps))
+
+
+class Recorded(SimpleNamespace):
+    def __len__(self) -> int:
+        return self.steps
+
+
+def test_stand_offs_are_counted(rooms: FreeSpace) -> None:
+    count = standoff.stand_offs
+    assert count(recorded(400, 2.0), rooms) == [(0, 399)]
+    assert count(recorded(299, 2.0), rooms) == []
+    assert count(recorded(400, 2.6), rooms) == []
+    assert count(recorded(400, 2.0, done=(200,)), rooms) == []
+    assert count(recorded(800, 2.0, done=(200,)), rooms) == [(201, 799)]
+    assert count(recorded(320, 1.0, walks_mps=0.12), rooms) == []
+    assert count(recorded(320, 1.0, walks_mps=0.08), rooms) == [(0, 319)]
+
+
+DANCE = 7945165734413234536
+"""The seed of the first episode of ``generate rearrange --scenes small:3 --seed 3``: steps 454 to 776 were a stand-off."""
+
+
+@pytest.mark.slow
+def test_robot_and_person_do_not_dance() -> None:
+    scene, free = standoff._home(3)
+    episode = Rearrange().episode(scene, seed=DANCE, free=free)
+    recording = simulate(Rearrange(), episode, {"robot": "complement", "human": "both"})
+    assert standoff.stand_offs(recording, free) == []
+    assert recording.episode.info["ended"] == "success"
+    assert len(recording) < 872
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [15, 35])
+def test_a_robot_that_is_driven_into_a_doorway_stops_nobody_for_good(seed: int) -> None:
+    """They stood before it for 1177 steps, and gave up what they had to do."""
+    recording, _ = standoff.play(seed, driven=True)
+    assert standoff.stand_offs(recording, standoff._home(seed % standoff.HOMES)[1]) == []
