@@ -10,6 +10,7 @@ the module (`trust`), so that opening somebody's file never runs Python that lie
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import os
 import re
 import shlex
@@ -48,7 +49,10 @@ def names_from_data() -> Iterator[None]:
 
 
 def trust(*modules: str) -> None:
-    """Lets data name objects of these modules, and of modules within them, in this process and those that it starts."""
+    """Lets data name objects of these modules, and of modules within them, until this process and those it starts end.
+
+    A module that the user names (``Registry.get`` outside `names_from_data`) is trusted likewise.
+    """
     for module in modules:
         if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", module):
             raise InputError(f"Expected the name of a module to trust, such as my_package.my_task, got {module!r}.")
@@ -70,6 +74,15 @@ def _is_working_directory(folder: str) -> bool:
     try:
         return os.path.samefile(folder or ".", ".")
     except OSError:
+        return False
+
+
+def _is_editable(distribution: importlib.metadata.Distribution | None) -> bool:
+    """Whether pip left a note with the installed package that its modules are used from where they are written."""
+    note = distribution.read_text("direct_url.json") if distribution is not None else None
+    try:
+        return bool(json.loads(note or "{}")["dir_info"]["editable"])
+    except (ValueError, KeyError, TypeError):
         return False
 
 
@@ -97,12 +110,16 @@ class Plugin:
     """``module:name``, or the object itself."""
     distribution: str = ""
     """Name and version of the installed package; empty for built-in entries and references by ``module:name``."""
+    editable: bool = False
+    """Whether the package is installed with ``pip install -e``, so that its modules may lie in the working directory."""
 
     def load(self) -> Any:
         """The object itself; raises whatever importing its module raises."""
         if not isinstance(self.value, str):
             return self.value
-        if self.distribution:  # an installed package: nothing in the working directory takes the place of its modules
+        if (
+            self.distribution and not self.editable
+        ):  # an installed package: nothing in the working directory takes the place of its modules
             with _installed_modules_only():
                 return load_reference(self.value)
         return load_reference(self.value)
@@ -180,7 +197,9 @@ class Registry(Generic[T]):
             if _FROM_DATA.get() and not is_trusted(name):
                 raise UntrustedNameError(self._untrusted(name))
             if not _FROM_DATA.get():
-                trust(name.partition(":")[0])  # whoever names it runs it: files of it may name it too
+                trust(name.partition(":")[0])  # whoever names it runs it: files may name it too from now on
+            if os.getcwd() not in sys.path:
+                sys.path.append(os.getcwd())  # only now, after everything that is installed: see docs/sharing.md
             return self._load(Plugin(name, name))
         known = self.names()
         raise InputError(
@@ -216,7 +235,7 @@ class Registry(Generic[T]):
             built_in = self._built_in.get(point.name)
             rivals = claims.setdefault(point.name, [])
             if point.value not in (other.value for other in (*rivals, *([built_in] if built_in else []))):
-                rivals.append(Plugin(point.name, point.value, package))
+                rivals.append(Plugin(point.name, point.value, package, editable=_is_editable(point.dist)))
         return {name: rivals for name, rivals in claims.items() if rivals}
 
     def _load(self, entry: Plugin) -> T:
