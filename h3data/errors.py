@@ -33,6 +33,10 @@ class PluginError(H3DataError):
     """An installed plug-in cannot be used; the message names its package and entry point."""
 
 
+class UntrustedNameError(InputError):
+    """A file names code that is neither built in nor installed, and that the user has not trusted."""
+
+
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
     """`` Did you mean 'x'?`` with the valid name closest to an unknown one; empty if none is close."""
     from difflib import get_close_matches

@@ -2,24 +2,99 @@
 
 A `Registry` knows the built-in ones from a table and third-party ones from the entry points of one group; ``module:name``
 names one that is not installed as an entry point. Nothing is imported before it is asked for.
+
+Names that a file holds are looked up within `names_from_data`: there ``module:name`` is refused unless the user has trusted
+the module (`trust`), so that opening somebody's file never runs Python that lies beside it.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
+import json
+import os
 import re
+import shlex
+import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from h3data.errors import H3DataError, InputError, PluginError, did_you_mean
+from h3data.errors import H3DataError, InputError, PluginError, UntrustedNameError, did_you_mean
 
 T = TypeVar("T")
 
 REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 """``module:name``, as in an entry point."""
+
+
+TRUST_VARIABLE = "H3DATA_TRUST"
+"""Environment variable with the trusted modules, commas between: worker processes inherit it."""
+
+_FROM_DATA: ContextVar[bool] = ContextVar("names come from data", default=False)
+
+
+@contextmanager
+def names_from_data() -> Iterator[None]:
+    """Within it, names come from a file and not from the user: only built-in, installed and trusted ones are looked up."""
+    token = _FROM_DATA.set(True)
+    try:
+        yield
+    finally:
+        _FROM_DATA.reset(token)
+
+
+def trust(*modules: str) -> None:
+    """Lets data name objects of these modules, and of modules within them, until this process and those it starts end.
+
+    A module that the user names (``Registry.get`` outside `names_from_data`) is trusted likewise.
+    """
+    for module in modules:
+        if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", module):
+            raise InputError(f"Expected the name of a module to trust, such as my_package.my_task, got {module!r}.")
+    os.environ[TRUST_VARIABLE] = ",".join(dict.fromkeys([*_trusted(), *modules]))
+
+
+def _trusted() -> list[str]:
+    return [name for name in os.environ.get(TRUST_VARIABLE, "").split(",") if name]
+
+
+def is_trusted(reference: str) -> bool:
+    """Whether data may name this ``module:name``."""
+    module = reference.partition(":")[0]
+    return any(module == name or module.startswith(f"{name}.") for name in _trusted())
+
+
+def _is_working_directory(folder: str) -> bool:
+    """Whether an entry of ``sys.path`` is the working directory; "" stands for it."""
+    try:
+        return os.path.samefile(folder or ".", ".")
+    except OSError:
+        return False
+
+
+def _is_editable(distribution: importlib.metadata.Distribution | None) -> bool:
+    """Whether pip left a note with the installed package that its modules are used from where they are written."""
+    note = distribution.read_text("direct_url.json") if distribution is not None else None
+    try:
+        return bool(json.loads(note or "{}")["dir_info"]["editable"])
+    except (ValueError, KeyError, TypeError):
+        return False
+
+
+@contextmanager
+def _installed_modules_only() -> Iterator[None]:
+    """Imports find nothing in the working directory."""
+    kept = list(sys.path)
+    sys.path[:] = [folder for folder in kept if not _is_working_directory(folder)]
+    try:
+        yield
+    finally:
+        sys.path[:] = kept
 
 
 class PluginWarning(UserWarning):
@@ -35,10 +110,19 @@ class Plugin:
     """``module:name``, or the object itself."""
     distribution: str = ""
     """Name and version of the installed package; empty for built-in entries and references by ``module:name``."""
+    editable: bool = False
+    """Whether the package is installed with ``pip install -e``, so that its modules may lie in the working directory."""
 
     def load(self) -> Any:
         """The object itself; raises whatever importing its module raises."""
-        return load_reference(self.value) if isinstance(self.value, str) else self.value
+        if not isinstance(self.value, str):
+            return self.value
+        if (
+            self.distribution and not self.editable
+        ):  # an installed package: nothing in the working directory takes the place of its modules
+            with _installed_modules_only():
+                return load_reference(self.value)
+        return load_reference(self.value)
 
 
 def load_reference(reference: str) -> Any:
@@ -97,6 +181,7 @@ class Registry(Generic[T]):
 
         Raises:
             InputError: nothing is registered under this name.
+            UntrustedNameError: the name comes from data (`names_from_data`), and the user has not trusted its module.
             PluginError: the third-party object cannot be imported, fails the check, or two packages claim its name.
         """
         if name in self._built_in:
@@ -107,6 +192,14 @@ class Registry(Generic[T]):
         if claims:
             return self._load(claims[0])
         if REFERENCE.fullmatch(name):
+            for entry in (one for claims in self._third_party().values() for one in claims if one.value == name):
+                return self._load(entry)  # installed, only named in full
+            if _FROM_DATA.get() and not is_trusted(name):
+                raise UntrustedNameError(self._untrusted(name))
+            if not _FROM_DATA.get():
+                trust(name.partition(":")[0])  # whoever names it runs it: files may name it too from now on
+            if os.getcwd() not in sys.path:
+                sys.path.append(os.getcwd())  # only now, after everything that is installed: see docs/sharing.md
             return self._load(Plugin(name, name))
         known = self.names()
         raise InputError(
@@ -137,10 +230,12 @@ class Registry(Generic[T]):
         claims: dict[str, list[Plugin]] = {}
         for point in importlib.metadata.entry_points(group=self.group):
             package = f"{point.dist.name} {point.dist.version}" if point.dist is not None else "an unnamed package"
+            if point.dist is not None and _is_working_directory(str(Path(str(point.dist.locate_file(""))))):
+                continue  # came with data, perhaps: a package counts as installed where Python installs packages
             built_in = self._built_in.get(point.name)
             rivals = claims.setdefault(point.name, [])
             if point.value not in (other.value for other in (*rivals, *([built_in] if built_in else []))):
-                rivals.append(Plugin(point.name, point.value, package))
+                rivals.append(Plugin(point.name, point.value, package, editable=_is_editable(point.dist)))
         return {name: rivals for name, rivals in claims.items() if rivals}
 
     def _load(self, entry: Plugin) -> T:
@@ -168,6 +263,19 @@ class Registry(Generic[T]):
             f"{entry.name!r} (entry point {entry.value} of the group {self.group}, installed by {entry.distribution})"
         )
 
+    def _untrusted(self, name: str) -> str:
+        module = name.partition(":")[0]
+        command = shlex.join(["h3data", *sys.argv[1:], "--trust", module]) if _is_command() else ""
+        return (
+            f"A file names the {self.what} {name!r}, which is neither built in nor installed; using it would run the Python "
+            f"module {module}. Hint: if you know and trust that module, "
+            + (
+                f"run: {command}"
+                if command
+                else f"call h3data.plugins.trust({module!r}) first, or pass --trust {module}."
+            )
+        )
+
     def _conflict(self, name: str, claims: list[Plugin]) -> str:
         packages = " and ".join(f"{claim.value} of {claim.distribution}" for claim in claims)
         if name in self._built_in:
@@ -176,6 +284,11 @@ class Registry(Generic[T]):
             f"The {self.what} {name!r} is claimed by {packages} (entry points of the group {self.group}). "
             "Hint: uninstall one of them, or name the one you mean as module:name."
         )
+
+
+def _is_command() -> bool:
+    """Whether this process is ``h3data`` on a command line."""
+    return Path(sys.argv[0]).name in ("h3data", "h3data.exe") or "h3data_pipelines" in Path(sys.argv[0]).parts
 
 
 def own_version() -> str:

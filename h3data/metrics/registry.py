@@ -12,11 +12,11 @@ import functools
 from collections.abc import Mapping
 from typing import Any
 
-from h3data.errors import H3DataError, InputError, did_you_mean
+from h3data.errors import H3DataError, InputError, UntrustedNameError, did_you_mean
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.metric import Metric, Series
 from h3data.metrics.profile import Profile
-from h3data.plugins import Registry
+from h3data.plugins import Registry, names_from_data
 from h3data.recording.records import Recording
 
 ANY_TASK = "task"
@@ -82,11 +82,12 @@ def find_profile(name: str, task: str = "social_nav") -> Profile:
 def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> Profile:
     """Returns the profile that measures a recording: ``name``, else ``info["profile"]``, else the first that names its task.
 
-    A task that no profile names gets the profile ``task``. ``info["profile"]`` may be ``module:name``: then measuring the
-    recording imports that module, as its own package would.
+    A task that no profile names gets the profile ``task``. ``info["profile"]`` may be ``module:name`` of a
+    module that the user has trusted (`h3data.plugins.trust`, ``--trust``).
 
     Raises:
         InputError: as `find_profile`; for a name from ``info`` the message says so.
+        UntrustedNameError: ``info["profile"]`` is of a module that nobody has trusted.
     """
     if name is not None:
         return find_profile(name, task)
@@ -94,9 +95,10 @@ def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> 
     if not declared:
         return _profile_naming(task)
     try:
-        return find_profile(str(declared), task)
+        with names_from_data():
+            return find_profile(str(declared), task)
     except H3DataError as fault:
-        raise InputError(
+        raise (UntrustedNameError if isinstance(fault, UntrustedNameError) else InputError)(
             f"Recordings of {task!r} ask for the metrics profile {declared!r}, which cannot be used: {fault} "
             f"Hint: choose another profile; {ANY_TASK} measures any task."
         ) from fault

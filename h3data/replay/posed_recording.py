@@ -19,6 +19,7 @@ from h3data.bodies.robots.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.habitat.asset_library import AssetLibrary
+from h3data.plugins import names_from_data
 from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode
@@ -201,7 +202,8 @@ class PosedRecording:
         """The built-in model of an agent."""
         kind, _, name = self.recording.agents[agent].model.partition("/")
         if kind == "robot":
-            return load_robot(name)
+            with names_from_data():
+                return load_robot(name)
         if kind == "humanoid":
             return load_humanoid(name)
         raise FormatError(

@@ -33,8 +33,6 @@ def jsonable(value: Any) -> Any:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code."""
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # so that module:name finds the user's files, after everything that is installed
     try:
         return _run(list(sys.argv[1:] if arguments is None else arguments))
     except KeyboardInterrupt as stop:

@@ -19,7 +19,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from h3data.errors import InputError, did_you_mean
-from h3data.plugins import own_version
+from h3data.plugins import own_version, trust
 from h3data_pipelines.command import Command, Group, NameOf
 from h3data_pipelines.job_files import read_job_file
 from h3data_pipelines.options import KINDS, Option, Repeatable, options_of, read_value
@@ -28,7 +28,8 @@ _CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.Po
 _SILENT = ("None", "False", "", "''")
 """Defaults that help leaves out: they only mean that the option is not given."""
 _COMMON_HELP = (
-    "Every command also takes --config JOB.toml (options by name, those given here win) and --quiet (no progress)."
+    "Every command also takes --config JOB.toml (options by name, those given here win), --quiet (no progress), and "
+    "--trust MODULE (files may name what is in this Python module; repeatable)."
 )
 _ABSENT = "\0"
 """Default of options while words are assigned to them; no word on a command line can hold it."""
@@ -102,7 +103,10 @@ def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invoc
 
 
 def _common(words: list[str], see: str) -> tuple[list[str], bool, Path | None]:
-    """The words without the options that all commands share, and these: ``--quiet`` and the path after ``--config``."""
+    """The words without the options that all commands share, and these: ``--quiet`` and the path after ``--config``.
+
+    A module after ``--trust`` is trusted at once, in the processes of the command too.
+    """
     rest, config, quiet = [], None, False
     waiting = iter(words)
     for word in waiting:
@@ -116,6 +120,8 @@ def _common(words: list[str], see: str) -> tuple[list[str], bool, Path | None]:
             if not path or path.startswith("-"):
                 raise InputError(f"Missing value for --config. {see}")
             config = Path(path)
+        elif name == "--trust":
+            trust(value if sign else next(waiting, ""))
         else:
             rest.append(word)
     return rest, quiet, config

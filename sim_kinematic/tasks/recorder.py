@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.motion.walk_names import JOIN
-from h3data.plugins import own_version
+from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
     Agent,
     AssetRef,
@@ -201,6 +201,9 @@ def describe(
         info["task"] = reference
     if task.profile:
         info["profile"] = task.profile
+    for own in (reference, task.profile):
+        if own and REFERENCE.fullmatch(own) and not own.startswith("__main__:"):
+            trust(own.partition(":")[0])  # it runs already: this process may read what it records
     people = [member.model for member in episode.roster if member.kind == "human"]
     walks: dict[str, bytes] = {}
     if any(JOIN in model for model in people):

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError, InputError, UntrustedNameError
+from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy
 from sim_kinematic.policies.recorded import NotRecorded
@@ -48,7 +49,10 @@ def task_of(recording: Recording) -> Task:
     """
     name = str(recording.episode.info.get("task") or recording.episode.task)
     try:
-        return find_task(name)
+        with names_from_data():
+            return find_task(name)
+    except UntrustedNameError:
+        raise
     except InputError as fault:
         known = ", ".join(task_registry().names())
         raise InputError(
@@ -208,7 +212,8 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
     task = task_of(recording)
     require(recording, columns=task.needed_columns(recording))
     file = recording.attachments["scene.glb"]
-    return task, task.restore(recording, lambda radius, height: scene_and_map(file, radius, height))
+    with names_from_data():
+        return task, task.restore(recording, lambda radius, height: scene_and_map(file, radius, height))
 
 
 def _assigned(
@@ -230,7 +235,11 @@ def _assigned(
             result.append(AssignedPolicy(None, named[k], member.kind))
             continue
         try:
-            result.append(task.recorded_policy(episode, k, named[k] if choice is None else choice))
+            if choice is None:
+                with names_from_data():
+                    result.append(task.recorded_policy(episode, k, named[k]))
+            else:
+                result.append(task.recorded_policy(episode, k, choice))
         except H3DataError as fault:
             if choice is not None:
                 raise

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
 import msgspec
 import numpy as np
 
+from h3data.bodies import load_robot
 from h3data.bodies.motion.walk_names import JOIN, split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
 from h3data.habitat.episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
+from h3data.plugins import names_from_data
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.scene_sets import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster, with_motion
@@ -152,7 +155,10 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         names = place.agents or record.agents
         if place.human is not None and place.human.startswith(JOIN):  # a motion alone, for everybody
             names = with_motion(names, place.human)
-        roster = make_roster(names, robot=place.robot or ROBOT_BODY, human=place.human or HUMAN_BODY)
+        if place.robot:
+            load_robot(place.robot)  # of the user, as a name of the file may not be
+        with nullcontext() if place.agents else names_from_data():
+            roster = make_roster(names, robot=place.robot or ROBOT_BODY, human=place.human or HUMAN_BODY)
         self._check_roster(roster)
         starts = np.array(record.starts, np.float64).reshape(-1, 3)
         if len(starts) != len(roster):

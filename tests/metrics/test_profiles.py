@@ -16,6 +16,7 @@ from h3data.metrics import Computed, Metric, Profile, explain_episode, find_metr
 from h3data.metrics import registry as registry_module
 from h3data.metrics.registry import profile_for
 from h3data.metrics.requirements import UnmeasurableError
+from h3data.plugins import TRUST_VARIABLE
 from h3data.recording import STEP_NS, Agent, DatasetWriter, Episode, Recording
 from h3data_pipelines.cli import main
 
@@ -60,6 +61,7 @@ def third_party(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: fetch_metrics\nVersion: 1.0\n")
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv(TRUST_VARIABLE, "fetch_metrics")
     for cached in (registry_module.profiles_named, registry_module._profile_naming):
         cached.cache_clear()
         monkeypatch.setattr(registry_module, cached.__name__, cached.__wrapped__)

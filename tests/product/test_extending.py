@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from h3data.plugins import TRUST_VARIABLE
 from h3data_pipelines.cli import main
 from tests.bodies.robots.cart_robot import cart_urdf
 from tests.paths import DOCS
@@ -19,11 +20,13 @@ GROUP = re.compile(r'\[project\.entry-points\."(\S+)"\]')
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder in which the package acme is installed, as the page's entry points say; it is the working directory."""
+    """The working directory, which has the package acme after ``pip install -e .``, with the entry points of the page."""
     page = (DOCS / "extending.md").read_text(encoding="utf-8")
     (entries,) = (text for kind, text in BLOCK.findall(page) if kind == "toml")
-    info = tmp_path / "acme-1.0.dist-info"
-    info.mkdir()
+    site = tmp_path / "site-packages"
+    info = site / "acme-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "direct_url.json").write_text('{"url": "file:///acme", "dir_info": {"editable": true}}')
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(GROUP.sub(r"[\1]", entries).replace('"', ""))
     (tmp_path / "acme").mkdir()
@@ -32,6 +35,8 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (tmp_path / "walk.track").write_text("TRACK\n" + "".join(f"{0.1 * k} 0 0\n" for k in range(20)))
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.setenv(TRUST_VARIABLE, "")
     before = set(sys.modules)
     yield tmp_path
     for name in {name for name in set(sys.modules) - before if name.partition(".")[0] == "acme"}:

@@ -258,4 +258,4 @@ def _table(job: Evaluation, rows: list[dict[str, Any]], zsc: Sequence[str]) -> P
         return cross_play_table((Row(**row) for row in rows), zsc)
     if job.partners:
         rows = [{**row, "policy": f"{row['policy']} with {row['partner']}"} for row in rows]
-    return policy_table(profile_for(task.name, {"profile": task.profile}), rows)
+    return policy_table(profile_for(task.name, {}, task.profile or None), rows)

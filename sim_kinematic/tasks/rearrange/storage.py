@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any, ClassVar
 
 import msgspec
@@ -24,6 +25,7 @@ from h3data.habitat.episodes.stored_rearrangements import (
     read_rearrangement,
     rearrangement_entry,
 )
+from h3data.plugins import names_from_data
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.scene_sets import SceneFile, SceneSource
 from sim_kinematic.agents.driven.object_room import object_extent
@@ -118,8 +120,10 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             place.robot or record.robot.removeprefix("robot/") or ROBOT_BODY,
             with_body(place.human, record.human.removeprefix("humanoid/")),
         )
+        with nullcontext() if place.robot else names_from_data():
+            robot = load_robot(pair[0])
         roster = make_roster(place.agents or PAIR, robot=pair[0], human=pair[1])
-        for body in (load_robot(pair[0]), *(member.body for member in roster)):
+        for body in (robot, *(member.body for member in roster)):
             if isinstance(body, Robot):
                 body.require_arm()
         scene, targets = self._furnished(record, place)

@@ -7,6 +7,7 @@ Habitat does not store them (spec/habitat.md 1.2). Here an episode is a record, 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,6 +20,7 @@ from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
+from h3data.plugins import names_from_data
 from h3data.scene import FreeSpace, Scene, scene_digest
 from sim_kinematic.agents.roster import ROBOT_BODY, make_roster, with_body
 from sim_kinematic.agents.stands import discs_fit
@@ -151,9 +153,10 @@ def episode_from(
     human_name = with_body(human, episode.human.removeprefix("humanoid/"))
     headings = np.array([[episode.robot_start[2]], [episode.human_start[2]]])
     goals = [[float(x), float(z)] for x, z in points[2:]]
+    with nullcontext() if robot else names_from_data():
+        roster = make_roster(("robot", "human"), robot=robot_name, human=human_name)
     return Episode(
-        scene=scene, free=free, seed=episode.seed, spec=spec, starts=np.hstack([points[:2], headings]),
-        roster=make_roster(("robot", "human"), robot=robot_name, human=human_name),
+        scene=scene, free=free, seed=episode.seed, spec=spec, starts=np.hstack([points[:2], headings]), roster=roster,
         extra={"human_goals": goals} if goals else {},
     )  # fmt: skip
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
+from h3data.plugins import names_from_data
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
@@ -76,7 +77,8 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
         raise FormatError(f"Expected a bank of episodes {FORMAT}, got {about['format']}. File: {path}")
     if rules != _rules(spec):
         raise InputError(f"These episodes were drawn with other rules of the task. Hint: another file. File: {path}")
-    robot, human = (m.body for m in make_roster(Rearrange.agents, robot=robot_name, human=human_name))
+    with names_from_data():
+        robot, human = (m.body for m in make_roster(Rearrange.agents, robot=robot_name, human=human_name))
     assert isinstance(robot, Robot)
     assert isinstance(human, Humanoid)
     return RearrangeBank(spec=spec, robot=robot, human=human, floors=floors, scenes=(), **arrays), drawn_by
