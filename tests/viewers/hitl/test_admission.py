@@ -1,17 +1,24 @@
-"""Who may sit down: by what a worker's games cost, and by how many seats a network address has."""
+"""Who may sit down: by what a worker's games cost, and how many seats a network address has; and what is refused at the door."""
 
 from __future__ import annotations
 
 import asyncio
+import time
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
+import aiohttp
+import msgspec
 import pytest
-from aiohttp.test_utils import make_mocked_request
+from aiohttp.test_utils import TestServer, make_mocked_request
 from aiohttp.web import HTTPServiceUnavailable
 
 from h3data_viewers.hitl.bots.client import Client
+from h3data_viewers.hitl.connections import Live
 from h3data_viewers.hitl.front import Front
+from h3data_viewers.hitl.messages import Ping, decode
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.workers import EXPECTED_SHARE, WorkerProcess
 from tests.viewers.hitl.server import Server
@@ -90,3 +97,84 @@ def test_the_server_refuses_a_fifth_seat_of_an_address_that_may_have_four(tmp_pa
     options = {"tables": 20, "seats_per_address": 4}
     with Server(tmp_path / "rec", options, episodes=20, app="social_nav", partner="rollout_expert") as server:
         assert asyncio.run(five(server.links[0])) == [200, 200, 200, 200, 503]
+
+
+# --- what a browser sends, at a server whose worker only counts -------------------------------------------------------
+class Table:
+    """The server of one game in this process, and a browser that has its seat."""
+
+    def __init__(self, folder: Path, **options: Any) -> None:
+        self.front = Front(PlayPlan(app="rearrange", out=str(folder), seats=("person",)), **options)
+        self.heard: list[str] = []
+        journal = self.front.journal
+        self.seat, self.game = journal.sit("token", 0, 0), journal.begin(0)
+        journal.assign(self.seat, self.game)
+        worker = SimpleNamespace(send=lambda kind, key, body: self.heard.append(kind), is_stuck=False)
+        begun = asyncio.get_running_loop().create_future()
+        begun.set_result({"manifest": {}, "glb": "", "agents": [0]})
+        self.front.lives[self.game.key] = Live(self.game, worker, begun)  # type: ignore[arg-type]
+        self.http: aiohttp.ClientSession
+        self.link = self.said = ""
+
+    @property
+    def cookies(self) -> dict[str, str]:
+        return {"Cookie": f"{self.front._cookie(0)}=token"}
+
+    async def status(self, method: str, path: str, headers: dict[str, str] | None = None, data: str = "{}") -> int:
+        """Of an answer; a socket that opens has 101."""
+        given = {"Content-Type": "application/json", **self.cookies, **(headers or {})}
+        async with self.http.request(method, self.link + path, headers=given, data=data) as answer:
+            self.said = await answer.text()
+            return answer.status
+
+    async def closed_by(self, text: str) -> int | None:
+        """Code with which the server closes the socket after a message."""
+        async with self.http.ws_connect(f"{self.link}play/{self.seat.sid}", headers=self.cookies) as socket:
+            await socket.send_str(text)
+            await socket.send_str('{"k":"leave"}')
+            async for _ in socket:
+                pass
+            return socket.close_code
+
+
+def at_a_table(folder: Path, what: Callable[[Table], Awaitable[None]], **options: Any) -> None:
+    async def main() -> None:
+        table = Table(folder, **options)
+        async with TestServer(table.front.application()) as server, aiohttp.ClientSession() as table.http:
+            table.link = str(server.make_url("/"))
+            await what(table)
+
+    asyncio.run(main())
+
+
+NESTED = ("[" * 1000, "[" * 30_000, '{"a":' * 1000, '{"x":' + "[" * 900 + "]" * 900 + "}")
+
+
+def test_nested_json_is_malformed_and_the_seat_goes_on(tmp_path: Path):
+    async def what(table: Table) -> None:
+        for text in NESTED:
+            assert await table.status("POST", "api/session", data=text) == 400
+            assert "not what was expected" in table.said
+        for depth in (800, 1500):
+            assert await table.closed_by('{"k":"leave","x":' + "[" * depth + "]" * depth + "}") == 1003
+        assert "input" not in table.heard
+        assert await table.status("POST", "api/session") == 200
+        async with table.http.ws_connect(f"{table.link}play/{table.seat.sid}", headers=table.cookies) as socket:
+            await socket.send_str('{"k":"leave"}')
+            while "input" not in table.heard:
+                await asyncio.sleep(0.01)
+
+    at_a_table(tmp_path, what)
+
+
+@pytest.mark.parametrize("text", ['"' + "[" * 900 + '"', '"\\"' + "[" * 900 + '"', "[" + "[]," * 900 + "[]]"])
+def test_brackets_in_texts_and_beside_each_other_are_not_nested(text: str):
+    assert decode('{"k":"ping","ct":1,"x":' + text + "}") == Ping(ct=1.0)
+
+
+def test_whether_json_is_nested_is_found_in_linear_time():
+    began = time.monotonic()
+    for text in ("[" * 40 + '"\\' * 200_000, "[" * 40 + '\\"' * 200_000, '"' + "\\" * 400_000 + "[" * 40):
+        with pytest.raises(msgspec.MsgspecError):
+            decode(text)
+    assert time.monotonic() - began < 1.0

@@ -15,7 +15,7 @@ import msgspec
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from h3data_viewers.hitl.connections import Connection, Failed, Live, pong, require_own_origin, strict, swallow
-from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode
+from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode, read_json
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, recording_name
 from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token
 from h3data_viewers.hitl.workers import Preparer, WorkerProcess, Workers
@@ -142,10 +142,8 @@ class Front:
     # --- sitting down -------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
         """Gives a browser its seat, the same one if it has one, and begins the next episode if there is none."""
-        require_own_origin(request)
         number = self._seat_number(request)
-        if request.content_type != "application/json":
-            raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
+        await self._read(request, dict)
         token = request.cookies.get(self._cookie(number), "")
         seat = self.journal.owner(token, number) if token else None
         if seat is None:
@@ -173,6 +171,17 @@ class Front:
             path="/",
         )
         return answer
+
+    async def _read(self, request: web.Request, kind: type[Any]) -> Any:
+        """What a browser has sent to its seat."""
+        require_own_origin(request)
+        self._seat_number(request)
+        if request.content_type != "application/json":
+            raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
+        try:
+            return read_json(await request.read(), msgspec.json.Decoder(kind))
+        except msgspec.MsgspecError as fault:
+            raise web.HTTPBadRequest(text=f"The request is not what was expected: {fault}") from None
 
     def _seat_number(self, request: web.Request) -> int:
         key = request.match_info.get("key")
@@ -416,7 +425,7 @@ class Front:
                 return
             try:
                 message = decode(frame.data)
-            except (msgspec.MsgspecError, UnicodeError):
+            except msgspec.MsgspecError:
                 await socket.close(code=WSCloseCode.UNSUPPORTED_DATA, message=b"no message")
                 return
             if isinstance(message, Ping):

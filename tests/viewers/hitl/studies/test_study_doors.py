@@ -342,6 +342,29 @@ def test_a_portrait_phone_is_turned_and_goes_on(tmp_path: Path) -> None:
     assert REPORT["width"] > 640
 
 
+# --- nonsense ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("text", ["[" * 1000, '{"ids":' * 1000, '{"x":' + "[" * 900 + "]" * 900 + "}"])
+def test_nested_json_is_malformed_and_the_participant_goes_on(tmp_path: Path, text: str) -> None:
+    async def what(study: Study) -> None:
+        person = await study.joined(PID)
+        for path in (
+            "study",
+            "study/consent",
+            "study/device",
+            "study/form",
+            "study/pause",
+            "study/withdraw",
+            "session",
+        ):
+            given = {"data": text, "headers": {"Content-Type": "application/json"}}
+            async with person.http.post(f"{study.link}api/{path}", **given) as answer:
+                assert (answer.status, "not what was expected" in await answer.text()) == (400, True), path
+        assert await person.ask("api/study") == 200
+        assert person.stage["kind"] == "episode"
+
+    run(tmp_path, what)
+
+
 # --- all at once ------------------------------------------------------------------------------------------------------
 def test_hostile_clients_beside_players_of_whom_none_loses_the_seat(tmp_path: Path) -> None:
     async def what(study: Study) -> None:

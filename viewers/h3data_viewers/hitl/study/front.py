@@ -14,7 +14,7 @@ import msgspec
 from aiohttp import web
 from msgspec import Meta
 
-from h3data_viewers.hitl.connections import Failed, Live, require_own_origin
+from h3data_viewers.hitl.connections import Failed, Live
 from h3data_viewers.hitl.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, Front
 from h3data_viewers.hitl.plan import GameOrder
 from h3data_viewers.hitl.seats import Game, Seat, new_token
@@ -345,16 +345,6 @@ class StudyFront(Front):
             live.worker.send("input", game.key, [begun["agents"][0], '{"k":"leave"}', time.monotonic() * 1e3])
 
     # --- what requests have in common ---------------------------------------------------------------------------------
-    async def _read(self, request: web.Request, kind: type[Any]) -> Any:
-        require_own_origin(request)
-        self._seat_number(request)
-        if request.content_type != "application/json":
-            raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
-        try:
-            return msgspec.json.decode(await request.read(), type=kind)
-        except msgspec.MsgspecError as fault:
-            raise web.HTTPBadRequest(text=f"The request is not what was expected: {fault}") from None
-
     def _answer(self, request: web.Request, view: dict[str, Any], token: str = "") -> web.Response:
         del request
         answer = web.json_response(view, headers={"Cache-Control": "no-store"})
