@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import hmac
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -108,7 +108,7 @@ class StudyFront(Front):
     def __init__(
         self, study: StudyPlan, *, workers: int = 1, open_door: bool = True, secure: bool = False,
         report: Callable[[dict[str, Any]], None] = lambda _: None, seats_per_address: int = SEATS_PER_ADDRESS,
-        behind_proxy: bool = False,
+        behind_proxy: bool = False, hosts: Sequence[str] = (),
     ) -> None:  # fmt: skip
         """
         Args:
@@ -119,12 +119,13 @@ class StudyFront(Front):
             report: Called with what the command line tells its user.
             seats_per_address: Participants at once of one network address.
             behind_proxy: As of `Front`.
+            hosts: As of `Front`.
         """
         self.study, self.design = study, study.design
         super().__init__(
             study.plans[0], workers=workers, open_door=open_door, secure=secure, report=report, plans=study.plans,
             journal=StudyStore(study.design, study.places, Path(study.out)),
-            seats_per_address=seats_per_address, behind_proxy=behind_proxy,
+            seats_per_address=seats_per_address, behind_proxy=behind_proxy, hosts=hosts,
         )  # fmt: skip
         self.finishes = False
         self.began = time.time()
