@@ -17,6 +17,7 @@ from h3data.files import part_file
 from h3data.terminal import counted
 from h3data_pipelines.command import JsonFlag, Outcome, WalkOption, claim_folder, keeping
 from h3data_pipelines.commands.serving import (
+    AllowHostOption,
     CertOption,
     HostOption,
     KeyOption,
@@ -79,6 +80,7 @@ class Play:
     cert: CertOption = None
     key: KeyOption = None
     behind_proxy: ProxyFlag = False
+    allow_host: AllowHostOption = ()
     no_browser: NoBrowserFlag = False
     json: JsonFlag = False
 
@@ -114,8 +116,9 @@ class Play:
 
     def _serving(self) -> dict[str, Any]:
         return serving_options(
-            "h3data play", host=self.host, port=self.port, cert=self.cert, key=self.key, behind_proxy=self.behind_proxy
-        )
+            "h3data play", host=self.host, port=self.port, cert=self.cert, key=self.key, behind_proxy=self.behind_proxy,
+            allow_host=self.allow_host,
+        )  # fmt: skip
 
     def _plan(self, out: Path) -> dict[str, Any]:
         from h3data_viewers.hitl.app import find_app

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,11 +28,26 @@ HostOption = Annotated[
 CertOption = Annotated[Path | None, tyro.conf.arg(help="File of the TLS certificate.")]
 KeyOption = Annotated[Path | None, tyro.conf.arg(help="File of its key.")]
 ProxyFlag = Annotated[bool, tyro.conf.arg(help="A proxy in front of this server does TLS.")]
+AllowHostOption = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(
+        metavar="NAME",
+        help="Further name by which browsers reach the server, such as study.example.org behind a proxy; may be given several "
+        "times. Known without it: loopback, addresses, --host and the certificate's names.",
+    ),
+]
 NoBrowserFlag = Annotated[bool, tyro.conf.arg(help="Only print the address.")]
 
 
 def serving_options(
-    what: str, *, host: str, port: int, cert: Path | None, key: Path | None, behind_proxy: bool
+    what: str,
+    *,
+    host: str,
+    port: int,
+    cert: Path | None,
+    key: Path | None,
+    behind_proxy: bool,
+    allow_host: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Options of the server process, checked.
 
@@ -46,7 +62,13 @@ def serving_options(
     for file in (cert, key):
         if file is not None and not file.is_file():
             raise InputError(f"There is no such file: {file}")
-    return {"host": host, "port": port, "cert": str(cert or ""), "key": str(key or ""), "behind_proxy": behind_proxy}
+    for name in allow_host:
+        if re.fullmatch(r"(\*\.)?[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*\.?", name) is None:
+            raise InputError(f"Expected --allow-host with a name such as study.example.org, without port, got {name}")
+    return {
+        "host": host, "port": port, "cert": str(cert or ""), "key": str(key or ""), "behind_proxy": behind_proxy,
+        "allow_hosts": list(allow_host),
+    }  # fmt: skip
 
 
 def require_aiohttp(what: str) -> None:

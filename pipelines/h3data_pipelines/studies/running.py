@@ -18,6 +18,7 @@ from h3data.files import part_file
 from h3data.terminal import counted
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, keeping, write_text
 from h3data_pipelines.commands.serving import (
+    AllowHostOption,
     CertOption,
     HostOption,
     KeyOption,
@@ -68,7 +69,7 @@ class StudyRun:
     Examples:
         h3data study run study.toml
         h3data study run study.toml --host 0.0.0.0 --port 443 --cert cert.pem --key key.pem --workers 4
-        h3data study run study.toml --behind-proxy --host 127.0.0.1 --port 8080
+        h3data study run study.toml --behind-proxy --port 8080 --allow-host study.example.org
     """
 
     study: tyro.conf.Positional[Path]
@@ -82,6 +83,7 @@ class StudyRun:
     cert: CertOption = None
     key: KeyOption = None
     behind_proxy: ProxyFlag = False
+    allow_host: AllowHostOption = ()
     no_browser: NoBrowserFlag = False
     speed: Annotated[float, tyro.conf.Suppress] = 1.0
     """Above 1 time runs faster: for scripted participants."""
@@ -92,7 +94,7 @@ class StudyRun:
 
         serving = serving_options(
             "h3data study run", host=self.host, port=self.port, cert=self.cert, key=self.key,
-            behind_proxy=self.behind_proxy,
+            behind_proxy=self.behind_proxy, allow_host=self.allow_host,
         )  # fmt: skip
         if self.workers < 1 or self.seats_per_address < 1:
             raise InputError("Expected --workers and --seats-per-address of at least 1.")

@@ -68,7 +68,7 @@ class Hostile(Client):
 
     async def half_a_request(self) -> None:
         _, writer = await self._raw()
-        writer.write(b"POST /api/session HTTP/1.1\r\nHost: x\r\nContent-Length: 10000\r\n")
+        writer.write(b"POST /api/session HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10000\r\n")
         await asyncio.sleep(3.0)
         writer.close()
         self.answers["half a request"] += 1

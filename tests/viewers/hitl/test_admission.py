@@ -1,19 +1,30 @@
-"""Who may sit down: by what a worker's games cost, and by how many seats a network address has."""
+"""Who may sit down: by what a worker's games cost, and how many seats an address has; and what is refused at the door."""
 
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import time
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
+import aiohttp
+import msgspec
 import pytest
-from aiohttp.test_utils import make_mocked_request
+from aiohttp.test_utils import TestServer, make_mocked_request
 from aiohttp.web import HTTPServiceUnavailable
 
+from h3data.errors import InputError
+from h3data_pipelines.commands.playing import Play
 from h3data_viewers.hitl.bots.client import Client
+from h3data_viewers.hitl.connections import Live, is_known
 from h3data_viewers.hitl.front import Front
+from h3data_viewers.hitl.messages import Ping, decode
 from h3data_viewers.hitl.plan import PlayPlan
-from h3data_viewers.hitl.workers import EXPECTED_SHARE, WorkerProcess
+from h3data_viewers.hitl.serve import certificate_names
+from h3data_viewers.hitl.workers import EXPECTED_SHARE, Refused, WorkerProcess
 from tests.viewers.hitl.server import Server
 
 
@@ -90,3 +101,192 @@ def test_the_server_refuses_a_fifth_seat_of_an_address_that_may_have_four(tmp_pa
     options = {"tables": 20, "seats_per_address": 4}
     with Server(tmp_path / "rec", options, episodes=20, app="social_nav", partner="rollout_expert") as server:
         assert asyncio.run(five(server.links[0])) == [200, 200, 200, 200, 503]
+
+
+# --- what a browser sends, at a server whose worker only counts -------------------------------------------------------
+class Table:
+    """The server of one game in this process, and a browser that has its seat."""
+
+    def __init__(self, folder: Path, **options: Any) -> None:
+        self.front = Front(PlayPlan(app="rearrange", out=str(folder), seats=("person",)), **options)
+        self.heard: list[str] = []
+        journal = self.front.journal
+        self.seat, self.game = journal.sit("token", 0, 0), journal.begin(0)
+        journal.assign(self.seat, self.game)
+        worker = SimpleNamespace(send=lambda kind, key, body: self.heard.append(kind), is_stuck=False)
+        begun = asyncio.get_running_loop().create_future()
+        begun.set_result({"manifest": {}, "glb": "", "agents": [0]})
+        self.front.lives[self.game.key] = Live(self.game, worker, begun)  # type: ignore[arg-type]
+        self.http: aiohttp.ClientSession
+        self.link = self.said = ""
+
+    @property
+    def cookies(self) -> dict[str, str]:
+        return {"Cookie": f"{self.front._cookie(0)}=token"}
+
+    async def status(self, method: str, path: str, headers: dict[str, str] | None = None, data: str = "{}") -> int:
+        """Of an answer; a socket that opens has 101."""
+        given = {"Content-Type": "application/json", **self.cookies, **(headers or {})}
+        async with self.http.request(method, self.link + path, headers=given, data=data) as answer:
+            self.said = await answer.text()
+            return answer.status
+
+    async def socket(self, headers: dict[str, str]) -> int:
+        """Status with which a socket is refused; 101 if it opens, to send ``leave``."""
+        try:
+            async with self.http.ws_connect(
+                f"{self.link}play/{self.seat.sid}", headers={**self.cookies, **headers}
+            ) as socket:
+                await socket.send_str('{"k":"leave"}')
+                await asyncio.sleep(0.05)
+        except aiohttp.WSServerHandshakeError as fault:
+            return fault.status
+        return 101
+
+    async def closed_by(self, text: str) -> int | None:
+        """Code with which the server closes the socket after a message."""
+        async with self.http.ws_connect(f"{self.link}play/{self.seat.sid}", headers=self.cookies) as socket:
+            await socket.send_str(text)
+            await socket.send_str('{"k":"leave"}')
+            async for _ in socket:
+                pass
+            return socket.close_code
+
+
+def at_a_table(folder: Path, what: Callable[[Table], Awaitable[None]], **options: Any) -> None:
+    async def main() -> None:
+        table = Table(folder, **options)
+        async with TestServer(table.front.application()) as server, aiohttp.ClientSession() as table.http:
+            table.link = str(server.make_url("/"))
+            await what(table)
+
+    asyncio.run(main())
+
+
+NESTED = ("[" * 1000, "[" * 30_000, '{"a":' * 1000, '{"x":' + "[" * 900 + "]" * 900 + "}")
+
+
+def test_nested_json_is_malformed_and_the_seat_goes_on(tmp_path: Path):
+    async def what(table: Table) -> None:
+        for text in NESTED:
+            assert await table.status("POST", "api/session", data=text) == 400
+            assert "not what was expected" in table.said
+        for depth in (800, 1500):
+            assert await table.closed_by('{"k":"leave","x":' + "[" * depth + "]" * depth + "}") == 1003
+        assert "input" not in table.heard
+        assert await table.status("POST", "api/session") == 200
+        async with table.http.ws_connect(f"{table.link}play/{table.seat.sid}", headers=table.cookies) as socket:
+            await socket.send_str('{"k":"leave"}')
+            while "input" not in table.heard:
+                await asyncio.sleep(0.01)
+
+    at_a_table(tmp_path, what)
+
+
+@pytest.mark.parametrize("text", ['"' + "[" * 900 + '"', '"\\"' + "[" * 900 + '"', "[" + "[]," * 900 + "[]]"])
+def test_brackets_in_texts_and_beside_each_other_are_not_nested(text: str):
+    assert decode('{"k":"ping","ct":1,"x":' + text + "}") == Ping(ct=1.0)
+
+
+def test_whether_json_is_nested_is_found_in_linear_time():
+    began = time.monotonic()
+    for text in ("[" * 40 + '"\\' * 200_000, "[" * 40 + '\\"' * 200_000, '"' + "\\" * 400_000 + "[" * 40):
+        with pytest.raises(msgspec.MsgspecError):
+            decode(text)
+    assert time.monotonic() - began < 1.0
+
+
+# --- by which names the server is known -------------------------------------------------------------------------------
+ALLOWED = ("study.example.org", "*.lab.example")
+
+
+def as_page_of(host: str) -> dict[str, str]:
+    return {"Host": host, "Origin": f"http://{host}"}
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:8080", "localhost.evil.example", "127.0.0.1.evil.example"]
+)
+def test_a_name_that_leads_here_without_being_the_servers_gets_nothing(tmp_path: Path, host: str):
+    async def what(table: Table) -> None:
+        paths = ("", "index.html", "world/a.glb", "nothing/at/all", "api/nothing", f"play/{table.seat.sid}")
+        for method, path in [*(("GET", path) for path in paths), ("POST", "api/session")]:
+            assert await table.status(method, path, as_page_of(host)) == 421, path
+            name = host.partition(":")[0]
+            assert table.said == (
+                f"This server is not known as {name}; if that is one of its names, start it with --allow-host {name}."
+            )
+        assert not table.http.cookie_jar
+        assert await table.socket(as_page_of(host)) == 421
+        assert table.heard == [], "nobody has left"
+        assert await table.socket({}) == 101
+        assert table.heard == ["here", "input", "here"]
+
+    at_a_table(tmp_path, what, hosts=ALLOWED)
+
+
+@pytest.mark.parametrize(
+    "host", ["study.example.org", "Study.Example.ORG.:84", "a.lab.example", "localhost:1", "[::1]:80", "10.1.1.7"]
+)
+def test_names_of_the_server_and_addresses_get_in_at_any_port(tmp_path: Path, host: str):
+    async def what(table: Table) -> None:
+        assert await table.status("POST", "api/session", as_page_of(host)) == 200
+        assert await table.socket(as_page_of(host)) == 101
+        assert "input" in table.heard
+        assert await table.status("POST", "api/session", {"Host": host, "Origin": "http://10.0.0.8"}) == 403
+
+    at_a_table(tmp_path, what, hosts=ALLOWED)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["lab.example", "a.b.lab.example", "example.org", "xstudy.example.org", "example", "2130706433", "127.1", ""],
+)
+def test_names_like_those_of_the_server_are_not_known(name: str):
+    assert not is_known(name, ALLOWED)
+
+
+def test_a_host_header_that_names_nothing_is_refused(tmp_path: Path):
+    async def what(table: Table) -> None:
+        for host in ("", ":80", "user@localhost", "[::1", "localhost/evil.example", "l\u00f6calhost"):
+            assert await table.status("GET", "", {"Host": host}) in (400, 421), host
+
+    at_a_table(tmp_path, what)
+
+
+def test_the_names_of_a_certificate_are_read_from_it(tmp_path: Path):
+    cert = tmp_path / "cert.pem"
+    names = "subjectAltName=DNS:study.example.org,DNS:*.lab.example,IP:192.168.1.20"
+    command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+    command += ["-keyout", str(tmp_path / "key.pem"), "-out", str(cert), "-subj", "/CN=x", "-addext", names]
+    subprocess.run(command, check=True, capture_output=True)
+    assert certificate_names(str(cert)) == ["study.example.org", "*.lab.example"]
+    cert.write_text("none")
+    with pytest.raises(Refused, match=r"Expected a certificate in PEM format, got .*cert\.pem"):
+        certificate_names(str(cert))
+
+
+def test_commands_pass_further_names_to_the_server():
+    assert Play("rearrange", allow_host=("a.example", "*.b.example"))._serving()["allow_hosts"] == [
+        "a.example",
+        "*.b.example",
+    ]
+    for wrong in ("https://a.example", "a.example:80", "*", "a..example", ""):
+        with pytest.raises(InputError, match="Expected --allow-host with a name such as"):
+            Play("rearrange", allow_host=(wrong,))._serving()
+
+
+async def statuses(link: str, hosts: Sequence[str]) -> list[int]:
+    async with aiohttp.ClientSession() as http:
+        answers = [await http.get(link, headers={"Host": host}) for host in hosts]
+        return [answer.status for answer in answers]
+
+
+@pytest.mark.slow
+def test_the_server_goes_by_the_names_that_it_is_given(tmp_path: Path):
+    with Server(tmp_path / "rec", {"allow_hosts": ["study.example.org"], "host": "localhost"}) as server:
+        assert asyncio.run(statuses(server.links[0], ("study.example.org", "localhost", "evil.example"))) == [
+            200,
+            200,
+            421,
+        ]

@@ -97,7 +97,12 @@ async def seats(link: str) -> None:
         await other.connect()
         await bot.until(lambda: bot.close_code == 4001)
         await other.until(lambda: other.states)
-        for text, code in (("{", 1003), ('{"k":"move","f":1e300}', 1003), ("x" * 5000, 1009)):
+        for text, code in (
+            ("{", 1003),
+            ('{"k":"leave","x":' + "[" * 1000, 1003),
+            ('{"k":"move","f":1e300}', 1003),
+            ("x" * 5000, 1009),
+        ):
             await other.socket.send_str(text)
             await other.until(lambda other=other: other.close_code)
             assert other.close_code == code

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import json
+import re
 import struct
 import time
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +21,8 @@ from h3data_viewers.hitl.workers import WorkerProcess
 QUEUE = 90
 """States that may wait for a slow client; older ones are dropped (each is whole but for objects at rest)."""
 SEND_S = 20.0
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::[0-9]*)?")
+"""A Host header: a name or address, in brackets if it is one of IPv6, and a port."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' blob: ws: wss:; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
@@ -102,6 +107,43 @@ def require_own_origin(request: web.Request) -> None:
     origin = request.headers.get("Origin")
     if origin is not None and origin.partition("://")[2] != request.host:
         raise web.HTTPForbidden(text="This request comes from another site.")
+
+
+def is_known(name: str, names: Iterable[str]) -> bool:
+    """Whether a server goes by a name.
+
+    Args:
+        name: Of a host, without port.
+        names: Those of the server beside loopback. ``*.example.org`` stands for one label in place of ``*``.
+    """
+    name = name.lower().rstrip(".")
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        known = {given.lower().rstrip(".") for given in names} | {"localhost"}
+        return name in known or f"*.{name.partition('.')[2]}" in known
+    return True  # nobody can make an address lead elsewhere, as the owner of a name can (DNS rebinding)
+
+
+def require_known_host(names: Iterable[str]) -> Any:
+    """A middleware that refuses requests to names that are not the server's: a page of another site whose name leads here
+    would otherwise count as a page of this server, with the player's cookies."""
+    known = tuple(names)
+
+    @web.middleware
+    async def middleware(request: web.Request, handler: Any) -> web.StreamResponse:
+        found = _HOST.fullmatch(request.headers.get("Host", ""))
+        if found is None:
+            raise web.HTTPMisdirectedRequest(text="The request's Host header names no host.")
+        name = found[1].strip("[]")
+        if not is_known(name, known):
+            raise web.HTTPMisdirectedRequest(
+                text=f"This server is not known as {name[:253]}; if that is one of its names, start it with "
+                f"--allow-host {name[:253]}."
+            )
+        return await handler(request)
+
+    return middleware
 
 
 @web.middleware

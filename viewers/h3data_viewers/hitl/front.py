@@ -14,8 +14,17 @@ from typing import Any
 import msgspec
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from h3data_viewers.hitl.connections import Connection, Failed, Live, pong, require_own_origin, strict, swallow
-from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode
+from h3data_viewers.hitl.connections import (
+    Connection,
+    Failed,
+    Live,
+    pong,
+    require_known_host,
+    require_own_origin,
+    strict,
+    swallow,
+)
+from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode, read_json
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, recording_name
 from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token
 from h3data_viewers.hitl.workers import Preparer, WorkerProcess, Workers
@@ -58,6 +67,7 @@ class Front:
         self, plan: PlayPlan, *, workers: int = 1, tables: int = 1, open_door: bool = True, secure: bool = False,
         report: Callable[[dict[str, Any]], None] = lambda _: None, plans: Sequence[PlayPlan] = (),
         journal: Journal | None = None, seats_per_address: int = SEATS_PER_ADDRESS, behind_proxy: bool = False,
+        hosts: Sequence[str] = (),
     ) -> None:  # fmt: skip
         """
         Args:
@@ -71,6 +81,7 @@ class Front:
             journal: Seats and games (default: those of the plan's folder).
             seats_per_address: Seats at once of one network address.
             behind_proxy: Whether the address is the one that the proxy names (``X-Forwarded-For``).
+            hosts: Names by which browsers may reach it beside loopback and addresses; ``*.example.org`` has any first label.
         """
         self.plan, self.secure, self.report = plan, secure, report
         self.tables = tables if len(plan.players) == 1 else 1
@@ -82,7 +93,7 @@ class Front:
         self.preparer = Preparer(self.workers)
         self.done = asyncio.Event()
         """All episodes are over."""
-        self.seats_per_address, self.behind_proxy = seats_per_address, behind_proxy
+        self.seats_per_address, self.behind_proxy, self.hosts = seats_per_address, behind_proxy, hosts
         self._addresses: dict[str, set[str]] = {}
         """Seats by address; in memory only: addresses of people are not stored."""
         self.finishes = True
@@ -91,7 +102,7 @@ class Front:
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
         """What aiohttp serves."""
-        app = web.Application(client_max_size=POST_BYTES, middlewares=[strict])
+        app = web.Application(client_max_size=POST_BYTES, middlewares=[strict, require_known_host(self.hosts)])
         for prefix in ("", "/s/{key}"):
             app.router.add_get(prefix + "/", self.page)
             app.router.add_post(prefix + "/api/session", self.sit)
@@ -142,10 +153,8 @@ class Front:
     # --- sitting down -------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
         """Gives a browser its seat, the same one if it has one, and begins the next episode if there is none."""
-        require_own_origin(request)
         number = self._seat_number(request)
-        if request.content_type != "application/json":
-            raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
+        await self._read(request, dict)
         token = request.cookies.get(self._cookie(number), "")
         seat = self.journal.owner(token, number) if token else None
         if seat is None:
@@ -173,6 +182,17 @@ class Front:
             path="/",
         )
         return answer
+
+    async def _read(self, request: web.Request, kind: type[Any]) -> Any:
+        """What a browser has sent to its seat."""
+        require_own_origin(request)
+        self._seat_number(request)
+        if request.content_type != "application/json":
+            raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
+        try:
+            return read_json(await request.read(), msgspec.json.Decoder(kind))
+        except msgspec.MsgspecError as fault:
+            raise web.HTTPBadRequest(text=f"The request is not what was expected: {fault}") from None
 
     def _seat_number(self, request: web.Request) -> int:
         key = request.match_info.get("key")
@@ -416,7 +436,7 @@ class Front:
                 return
             try:
                 message = decode(frame.data)
-            except (msgspec.MsgspecError, UnicodeError):
+            except msgspec.MsgspecError:
                 await socket.close(code=WSCloseCode.UNSUPPORTED_DATA, message=b"no message")
                 return
             if isinstance(message, Ping):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import re
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -124,6 +125,12 @@ class Can(msgspec.Struct, frozen=True, tag_field="k", tag="can"):
 Act = Move | GoTo | Stop | Pick | Place | Drop | Give | Open | Close | Hand | Head | Leave
 """Messages that are recorded."""
 _DECODER: msgspec.json.Decoder[Act | Ping | Can] = msgspec.json.Decoder(Act | Ping | Can)
+MOST_DEEP = 32
+"""Brackets within each other in JSON of clients. What a decoder alone bears depends on how deep its caller stands, so that a
+worker could fail at what the front let through."""
+_BRACKET = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"?|[\[{]|[\]}]', re.DOTALL)
+"""A string, which may lack its end, or a bracket."""
+Kind = TypeVar("Kind")
 
 
 def decode(text: str) -> Act | Ping | Can:
@@ -132,4 +139,28 @@ def decode(text: str) -> Act | Ping | Can:
     Raises:
         msgspec.MsgspecError: it is none: no JSON, an unknown kind, a number out of its range.
     """
-    return _DECODER.decode(text)
+    return read_json(text, _DECODER)
+
+
+def read_json(text: str | bytes, decoder: msgspec.json.Decoder[Kind]) -> Kind:
+    """Decodes JSON that a client has sent: all of it goes through here.
+
+    Raises:
+        msgspec.MsgspecError: it is none, is nested too deeply, or is not what the decoder expects.
+    """
+    try:
+        data = text.encode() if isinstance(text, str) else text
+        if data.count(b"[") + data.count(b"{") > MOST_DEEP:  # else it cannot be too deep
+            _require_shallow(data)
+        return decoder.decode(data)
+    except UnicodeError:
+        raise msgspec.DecodeError("JSON is text in UTF-8") from None
+
+
+def _require_shallow(data: bytes) -> None:
+    depth = 0
+    for found in _BRACKET.finditer(data):
+        first = found[0][:1]
+        depth += (first in b"[{") - (first in b"]}")
+        if depth > MOST_DEEP:
+            raise msgspec.DecodeError(f"JSON has more than {MOST_DEEP} brackets within each other")

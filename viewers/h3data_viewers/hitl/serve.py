@@ -43,6 +43,8 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     behind_proxy: bool = False
     """Whether a proxy in front of it does TLS, and names addresses of browsers."""
     seats_per_address: int = SEATS_PER_ADDRESS
+    allow_hosts: tuple[str, ...] = ()
+    """Names of this server beside loopback, ``host`` and those of the certificate."""
     stays: bool = False
     """Whether it goes on after the last episode."""
 
@@ -60,9 +62,24 @@ def require_safe(options: ServeOptions) -> None:
     )
 
 
+def certificate_names(cert: str) -> list[str]:
+    """DNS names of the first certificate in a file (subjectAltName).
+
+    Raises:
+        Refused: there is none.
+    """
+    try:
+        # what the ssl module shows of a certificate that it has not verified; it has no public name
+        found = ssl._ssl._test_decode_cert(cert)  # type: ignore[attr-defined]
+    except (ssl.SSLError, OSError) as fault:
+        raise Refused(f"Expected a certificate in PEM format, got {cert} ({fault}).") from None
+    return [name for kind, name in found.get("subjectAltName", ()) if kind == "DNS"]
+
+
 async def serve(options: ServeOptions, report: Any) -> int:
     """Serves until all episodes are over or a signal comes; returns the exit code."""
     require_safe(options)
+    names = certificate_names(options.cert) if options.cert else []
     stops = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -73,6 +90,7 @@ async def serve(options: ServeOptions, report: Any) -> int:
     given = {
         "workers": options.workers, "open_door": is_local, "secure": bool(options.cert) or options.behind_proxy,
         "report": report, "seats_per_address": options.seats_per_address, "behind_proxy": options.behind_proxy,
+        "hosts": (options.host, *options.allow_hosts, *names),
     }  # fmt: skip
     if options.study is not None:
         from h3data_viewers.hitl.study.front import StudyFront

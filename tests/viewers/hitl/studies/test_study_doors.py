@@ -342,6 +342,50 @@ def test_a_portrait_phone_is_turned_and_goes_on(tmp_path: Path) -> None:
     assert REPORT["width"] > 640
 
 
+# --- names of the server ----------------------------------------------------------------------------------------------
+def test_a_name_that_is_not_the_servers_ends_nobodys_study(tmp_path: Path) -> None:
+    async def what(study: Study) -> None:
+        person = await study.joined(PID)
+        evil = {"Host": "evil.example:8080", "Origin": "http://evil.example:8080"}
+        for path in ("api/study", "api/study/withdraw", "api/session"):
+            async with person.http.post(study.link + path, json={}, headers=evil) as answer:
+                assert (answer.status, "--allow-host evil.example" in await answer.text()) == (421, True), path
+                assert "Set-Cookie" not in answer.headers
+        async with person.http.get(study.link, headers=evil) as answer:
+            assert answer.status == 421
+        assert study.people == ["active"]
+        assert await person.ask("api/study") == 200
+        study.front.hosts = ("evil.example",)
+        server = await study.stack.enter_async_context(TestServer(study.front.application()))
+        async with person.http.post(server.make_url("/api/study"), json={}, headers=evil) as answer:
+            assert answer.status == 200
+
+    run(tmp_path, what)
+
+
+# --- nonsense ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("text", ["[" * 1000, '{"ids":' * 1000, '{"x":' + "[" * 900 + "]" * 900 + "}"])
+def test_nested_json_is_malformed_and_the_participant_goes_on(tmp_path: Path, text: str) -> None:
+    async def what(study: Study) -> None:
+        person = await study.joined(PID)
+        for path in (
+            "study",
+            "study/consent",
+            "study/device",
+            "study/form",
+            "study/pause",
+            "study/withdraw",
+            "session",
+        ):
+            given = {"data": text, "headers": {"Content-Type": "application/json"}}
+            async with person.http.post(f"{study.link}api/{path}", **given) as answer:
+                assert (answer.status, "not what was expected" in await answer.text()) == (400, True), path
+        assert await person.ask("api/study") == 200
+        assert person.stage["kind"] == "episode"
+
+    run(tmp_path, what)
+
+
 # --- all at once ------------------------------------------------------------------------------------------------------
 def test_hostile_clients_beside_players_of_whom_none_loses_the_seat(tmp_path: Path) -> None:
     async def what(study: Study) -> None:

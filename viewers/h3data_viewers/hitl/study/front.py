@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import hmac
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +14,7 @@ import msgspec
 from aiohttp import web
 from msgspec import Meta
 
-from h3data_viewers.hitl.connections import Failed, Live, require_own_origin
+from h3data_viewers.hitl.connections import Failed, Live
 from h3data_viewers.hitl.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, Front
 from h3data_viewers.hitl.plan import GameOrder
 from h3data_viewers.hitl.seats import Game, Seat, new_token
@@ -108,7 +108,7 @@ class StudyFront(Front):
     def __init__(
         self, study: StudyPlan, *, workers: int = 1, open_door: bool = True, secure: bool = False,
         report: Callable[[dict[str, Any]], None] = lambda _: None, seats_per_address: int = SEATS_PER_ADDRESS,
-        behind_proxy: bool = False,
+        behind_proxy: bool = False, hosts: Sequence[str] = (),
     ) -> None:  # fmt: skip
         """
         Args:
@@ -119,12 +119,13 @@ class StudyFront(Front):
             report: Called with what the command line tells its user.
             seats_per_address: Participants at once of one network address.
             behind_proxy: As of `Front`.
+            hosts: As of `Front`.
         """
         self.study, self.design = study, study.design
         super().__init__(
             study.plans[0], workers=workers, open_door=open_door, secure=secure, report=report, plans=study.plans,
             journal=StudyStore(study.design, study.places, Path(study.out)),
-            seats_per_address=seats_per_address, behind_proxy=behind_proxy,
+            seats_per_address=seats_per_address, behind_proxy=behind_proxy, hosts=hosts,
         )  # fmt: skip
         self.finishes = False
         self.began = time.time()
@@ -345,16 +346,6 @@ class StudyFront(Front):
             live.worker.send("input", game.key, [begun["agents"][0], '{"k":"leave"}', time.monotonic() * 1e3])
 
     # --- what requests have in common ---------------------------------------------------------------------------------
-    async def _read(self, request: web.Request, kind: type[Any]) -> Any:
-        require_own_origin(request)
-        self._seat_number(request)
-        if request.content_type != "application/json":
-            raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
-        try:
-            return msgspec.json.decode(await request.read(), type=kind)
-        except msgspec.MsgspecError as fault:
-            raise web.HTTPBadRequest(text=f"The request is not what was expected: {fault}") from None
-
     def _answer(self, request: web.Request, view: dict[str, Any], token: str = "") -> web.Response:
         del request
         answer = web.json_response(view, headers={"Cache-Control": "no-store"})
