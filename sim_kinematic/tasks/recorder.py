@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
+from h3data.bodies import Humanoid, Robot, robot_digest
 from h3data.bodies.motion.walk_names import JOIN
 from h3data.plugins import own_version
 from h3data.recording import (
@@ -201,6 +201,9 @@ def describe(
         info["task"] = reference
     if task.profile:
         info["profile"] = task.profile
+    robots = {member.model for member in episode.roster if member.kind == "robot"}
+    if digests := {model: digest for model in sorted(robots) if (digest := robot_digest(model))}:
+        info["robots_sha256"] = digests
     people = [member.model for member in episode.roster if member.kind == "human"]
     walks: dict[str, bytes] = {}
     if any(JOIN in model for model in people):
