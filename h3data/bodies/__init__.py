@@ -8,7 +8,7 @@ from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.bodies.robots.ik import IkResult, solve_ik
 from h3data.bodies.robots.robot import JointTargets, Robot, RobotCamera, RobotLeg, RobotLink
 from h3data.bodies.robots.robot_files import is_robot, is_robot_file, robot_names
-from h3data.bodies.robots.robot_loading import guess_robot_settings, load_robot
+from h3data.bodies.robots.robot_loading import check_robot, guess_robot_settings, load_robot, robot_digest
 from h3data.bodies.robots.urdf import Urdf, read_urdf
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "RobotLink",
     "SkinnedMesh",
     "Urdf",
+    "check_robot",
     "guess_robot_settings",
     "humanoid_names",
     "is_robot",
@@ -32,6 +33,7 @@ __all__ = [
     "load_humanoid",
     "load_robot",
     "read_urdf",
+    "robot_digest",
     "robot_names",
     "solve_ik",
 ]

@@ -24,6 +24,7 @@ from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode
 from h3data.replay.link_poses import LinkPoses
+from h3data.replay.recorded_robots import check_recorded_robots
 from h3data.replay.records import (
     BodyTrack,
     Drawable,
@@ -94,6 +95,7 @@ class PosedRecording:
         for body in recording.bodies:
             if body.name not in rigs or not self._add_rigged(body, refs[body.asset], rigs[body.name]):
                 self._add_body(body, refs[body.asset])
+        check_recorded_robots(recording)
         for index, agent in enumerate(recording.agents):
             if agent.model:
                 self._add_agent(index, agent)

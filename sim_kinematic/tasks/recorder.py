@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
+from h3data.bodies import Humanoid, Robot, robot_digest
 from h3data.bodies.motion.walk_names import JOIN
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
@@ -204,6 +204,9 @@ def describe(
     for own in (reference, task.profile):
         if own and REFERENCE.fullmatch(own) and not own.startswith("__main__:"):
             trust(own.partition(":")[0])  # it runs already: this process may read what it records
+    robots = {member.model for member in episode.roster if member.kind == "robot"}
+    if digests := {model: digest for model in sorted(robots) if (digest := robot_digest(model))}:
+        info["robots_sha256"] = digests
     people = [member.model for member in episode.roster if member.kind == "human"]
     walks: dict[str, bytes] = {}
     if any(JOIN in model for model in people):

@@ -16,6 +16,7 @@ import numpy as np
 from h3data.errors import H3DataError, InputError, UntrustedNameError
 from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
+from h3data.replay.recorded_robots import check_recorded_robots
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.episode import Episode
@@ -211,6 +212,7 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
         )
     task = task_of(recording)
     require(recording, columns=task.needed_columns(recording))
+    check_recorded_robots(recording)
     file = recording.attachments["scene.glb"]
     with names_from_data():
         return task, task.restore(recording, lambda radius, height: scene_and_map(file, radius, height))

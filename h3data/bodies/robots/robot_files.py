@@ -47,6 +47,11 @@ def robot_names() -> tuple[str, ...]:
     return _registry().names()
 
 
+def is_built_in(name: str | Path) -> bool:
+    """Whether a robot comes with this package, so that its name alone says which it is."""
+    return str(name) in _built_in()
+
+
 def is_robot(name_or_path: str | Path) -> bool:
     """Whether `find_robot` may know a robot by this: a name, ``module:name``, or the path of its files."""
     text = str(name_or_path)

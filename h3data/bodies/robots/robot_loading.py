@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,10 +14,11 @@ from numpy.typing import NDArray
 from h3data.bodies.robots.extents import resting_hull
 from h3data.bodies.robots.guess import guess_settings
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
-from h3data.bodies.robots.robot_files import RobotFiles, find_robot
+from h3data.bodies.robots.robot_files import RobotFiles, find_robot, is_built_in
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
 from h3data.bodies.robots.stand_ins import with_stand_ins
-from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, read_urdf
+from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, mesh_files, read_urdf
+from h3data.errors import H3DataError, InputError
 from h3data.geometry import Array, normalized, pose_from_matrix
 from h3data.mesh.loading import DEFAULT_COLOR, load_mesh
 from h3data.mesh.mesh import Mesh
@@ -55,6 +57,50 @@ def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> Ro
     """
     read, sure = with_stand_ins(read_urdf(urdf, allow_missing=True))
     return guess_settings(_robot(read, RobotSettings(), up), sure)
+
+
+def robot_digest(name_or_path: str | Path) -> str:
+    """Returns the SHA-256 of a robot's files as 64 hex digits; empty for a built-in robot, which its name describes.
+
+    Its parts are the bytes of the URDF, those of its ``robot.toml``, and those of each mesh, in the order of their paths.
+    Before each part comes its length [bytes] as int64, little-endian; -1 stands for a file that does not exist.
+
+    Raises:
+        InputError: There is no such robot.
+        FormatError: Its URDF cannot be used.
+    """
+    if is_built_in(name_or_path):
+        return ""
+    files = find_robot(name_or_path)
+    meshes = mesh_files(read_urdf(files.urdf, allow_missing=True, warn=False).links)
+    digest = hashlib.sha256()
+    for file in (*files, *meshes):
+        data = file.read_bytes() if file is not None and file.is_file() else None
+        digest.update((-1 if data is None else len(data)).to_bytes(8, "little", signed=True))
+        digest.update(data or b"")
+    return digest.hexdigest()
+
+
+def check_robot(name_or_path: str | Path, sha256: str, *, agent: str) -> None:
+    """Raises an InputError unless the robot that was recorded for ``agent`` is there with the digest `robot_digest` gave.
+
+    An empty ``sha256`` (built-in robots, recordings made before there were digests) allows any robot.
+    """
+    if not sha256:
+        return
+    try:
+        found = robot_digest(name_or_path)
+    except H3DataError as error:
+        raise InputError(
+            f"Agent {agent!r} was recorded with the robot {str(name_or_path)!r} (SHA-256 {sha256}), which cannot be read "
+            f"from here: put its folder back at that path, or run from the folder that the path starts from. Cause: {error}"
+        ) from error
+    if found != sha256:
+        raise InputError(
+            f"The robot {str(name_or_path)!r} of agent {agent!r} has changed since it was recorded: expected SHA-256 "
+            f"{sha256}, got {found or 'a built-in robot'}. Hint: put back its URDF, robot.toml and meshes of then, or record "
+            "the episode again."
+        )
 
 
 @lru_cache(maxsize=32)
