@@ -164,6 +164,14 @@ class Settings:
         ahead = self.horizon[1]
         return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=20)
 
+    def looking_ahead(self, steps: float) -> Settings:
+        """With a value that looks ``steps`` of 1/30 s ahead at the end of the run, and in proportion at its start."""
+        if not (math.isfinite(steps) and steps > self.hold * self.horizon[1] / self.horizon[0]):
+            raise InputError(
+                f"Expected a horizon that is longer than an action of {self.hold} steps from the start, got {steps:g} steps."
+            )
+        return replace(self, horizon=(steps * self.horizon[0] / self.horizon[1], float(steps)))
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as they stand in checkpoints and cards."""
         return {f.name: _plain(getattr(self, f.name)) for f in fields(self)}

@@ -244,6 +244,15 @@ def test_a_second_stage_lets_the_critic_learn_first() -> None:
     assert all(schedule(first, 0.0, update).acts for update in (0, 1))
 
 
+def test_a_longer_horizon_begins_later_in_proportion() -> None:
+    first, second = recipe("fast").looking_ahead(1500), recipe("fast").second_stage().looking_ahead(1500)
+    assert (first.horizon, second.horizon) == ((450.0, 1500.0), (1000.0, 1500.0))
+    assert schedule(second, 1.0, 99).gamma == pytest.approx(1 - 3 / 1500)
+    for steps in (10.0, 0.0, -5.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="horizon"):
+            first.looking_ahead(steps)
+
+
 @pytest.mark.slow
 def test_a_trained_policy_is_where_a_run_begins(whole: Path, bank: EpisodeBank, tmp_path: Path) -> None:
     policy = network_of(f"weights:{whole / POLICY}")
