@@ -28,7 +28,10 @@ from h3data.geometry import (
     quat_to_matrix,
 )
 
-BUILTIN_TABLES = ("cmu", "cgspeed", "daz", "mixamo", "rokoko", "xsens", "lafan")
+BUILTIN_TABLES = (
+    "cmu", "cgspeed", "daz", "mixamo", "rokoko", "xsens", "lafan", "smpl", "smplx", "unreal", "biped", "vrm", "vroid",
+    "rigify", "optitrack", "bandai", "biovision",
+)  # fmt: skip
 SIDES = ("left", "right")
 REQUIRED = ("pelvis", *(f"{s}_{j}" for s in SIDES for j in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")))
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
@@ -56,7 +59,7 @@ class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     right, Right and r."""
 
     joints: dict[str, str]
-    """Our name: theirs. Those of `REQUIRED` must be there."""
+    """Our name: theirs, of which only letters and digits count. Those of `REQUIRED` must be there."""
     axes: dict[str, str] = {}
     """Our name: where x, y and z of the joint's frame point in a T-pose, as "up forward left"; for files whose pose without
     rotations is no person."""
@@ -165,7 +168,8 @@ def _both_sides(entries: Mapping[str, str]) -> dict[str, str]:
 
 
 def _bare(name: str) -> str:
-    return name.rpartition(":")[2].lower()
+    """What of a name counts: programs put spaces, dots, hyphens and underscores for each other (``Bip01 L Thigh``)."""
+    return "".join(letter for letter in name.rpartition(":")[2].lower() if letter.isalnum())
 
 
 def _numbers(bvh: Bvh) -> dict[str, int]:
