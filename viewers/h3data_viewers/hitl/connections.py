@@ -48,9 +48,10 @@ class Live:
 class Connection:
     """The socket of one seat and what waits to be sent through it."""
 
-    def __init__(self, socket: web.WebSocketResponse, agent: int) -> None:
+    def __init__(self, socket: web.WebSocketResponse, agent: int, heard: float = 0.0) -> None:
+        """``heard``: by the clock of the front."""
         self.socket, self.agent = socket, agent
-        self.heard = time.time()
+        self.heard = heard
         """When something came, other than pings."""
         self._texts: deque[str] = deque()
         self._states: deque[bytes] = deque(maxlen=QUEUE)

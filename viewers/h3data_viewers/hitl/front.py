@@ -26,7 +26,7 @@ from h3data_viewers.hitl.connections import (
 )
 from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode, read_json
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, recording_name
-from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token
+from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token, uptime
 from h3data_viewers.hitl.workers import Preparer, WorkerProcess, Workers
 
 PAGE = Path(__file__).parent / "web" / "dist"
@@ -67,7 +67,7 @@ class Front:
         self, plan: PlayPlan, *, workers: int = 1, tables: int = 1, open_door: bool = True, secure: bool = False,
         report: Callable[[dict[str, Any]], None] = lambda _: None, plans: Sequence[PlayPlan] = (),
         journal: Journal | None = None, seats_per_address: int = SEATS_PER_ADDRESS, behind_proxy: bool = False,
-        hosts: Sequence[str] = (),
+        hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
     ) -> None:  # fmt: skip
         """
         Args:
@@ -82,8 +82,9 @@ class Front:
             seats_per_address: Seats at once of one network address.
             behind_proxy: Whether the address is the one that the proxy names (``X-Forwarded-For``).
             hosts: Names by which browsers may reach it beside loopback and addresses; ``*.example.org`` has any first label.
+            clock: Seconds since some moment, by which it is told who has been away for long.
         """
-        self.plan, self.secure, self.report = plan, secure, report
+        self.plan, self.secure, self.report, self.clock = plan, secure, report, clock
         self.tables = tables if len(plan.players) == 1 else 1
         self.open_door = open_door and len(plan.players) == 1
         self.journal = Journal(Path(plan.out)) if journal is None else journal
@@ -403,7 +404,7 @@ class Front:
         except (Failed, TimeoutError, web.HTTPException):
             await socket.close(code=RESTARTING)
             return socket
-        connection = Connection(socket, self._agent(seat, begun))
+        connection = Connection(socket, self._agent(seat, begun), self.clock())
         before = live.sockets.get(seat.sid)
         live.sockets[seat.sid] = connection
         if before is not None:
@@ -442,7 +443,7 @@ class Front:
             if isinstance(message, Ping):
                 connection.state(pong(message.ct))
                 continue
-            connection.heard = time.time()
+            connection.heard = self.clock()
             if connection.agent < 0 or live.worker.is_stuck:
                 continue
             if isinstance(message, Can):

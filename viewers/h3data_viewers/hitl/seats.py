@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import secrets
 import sqlite3
+import time
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,6 +45,14 @@ class Game:
     episode: int
     over: str = ""
     """What ended it; empty while it goes on."""
+
+
+_BOOT = getattr(time, "CLOCK_BOOTTIME", None)
+
+
+def uptime() -> float:
+    """Seconds by a clock that nobody sets, and which goes on while the machine sleeps where the system has such a one."""
+    return time.monotonic() if _BOOT is None else time.clock_gettime(_BOOT)
 
 
 def new_token() -> str:
