@@ -412,6 +412,8 @@ class StudyFront(Front):
     async def _reseat(self, request: web.Request, participant: Participant, token: str) -> None:
         """Gives the seat to another browser; the one before is told so."""
         before = self.journal.seat_of(participant)
+        if before is not None:
+            self._left.add(before.sid)
         self._note_address(request, self.journal.move(participant, token))
         for live in list(self.lives.values()):
             connection = live.sockets.get(before.sid) if before is not None else None
@@ -432,7 +434,7 @@ class StudyFront(Front):
                 raise web.HTTPConflict(text=str(fault)) from None
         return await super().sit(request)
 
-    def _new_seat(self, token: str, number: int) -> Seat:
+    def _new_seat(self, token: str, number: int, *, has_key: bool) -> Seat:
         raise web.HTTPConflict(text="This browser does not take part in the study yet. Reload the page.")
 
     def _is_taken(self, sid: str) -> bool:

@@ -277,19 +277,13 @@ class StudyStore(Journal):
     def move(self, participant: Participant, token: str) -> Seat:
         """A seat for the browser that holds ``token``; the one that the participant had is gone."""
         old = self.seat_of(participant)
-        if old is not None:
-            del self.seats[old.sid]
-            self._db.execute("delete from seats where sid = ?", (old.sid,))
-        seat = self.sit(token, participant.number, 0)
-        if old is not None and old.game:
-            self.assign(seat, self.games[old.game])
-        return seat
+        return self.sit(token, participant.number, 0) if old is None else self.hand_over(old, token)
 
     def begin_episode(self, participant: Participant, key: str) -> Game:
         """The game of an episode."""
         game = Game(key, participant.number, 0)
-        self.games[key] = game
         self._db.execute("insert into games values (?, ?, ?, ?)", (key, game.place, 0, ""))
+        self.games[key] = game
         return game
 
 
