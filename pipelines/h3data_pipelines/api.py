@@ -95,6 +95,7 @@ def evaluate(
     human_walk: WalkOption | None = None,
     human_speed: float | None = None,
     max_steps: int | None = None,
+    light: LightMode | None = None,
     workers: int = 1,
     executor: str = "local",
     keep: bool = False,

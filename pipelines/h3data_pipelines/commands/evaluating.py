@@ -11,6 +11,7 @@ import tyro
 
 from h3data.errors import InputError
 from h3data.progress import progress
+from h3data.render.light.sources import LightMode
 from h3data_pipelines.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome, WalkOption
 from h3data_pipelines.execution.executors import ExecutorOption
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
@@ -82,6 +83,9 @@ class Evaluate:
     """rearrange and skill: learned skills of robots: learned (those that come with the package), a folder of training runs, or
     policy files of h3data train skill, separated by commas (default: none in rearrange, learned for skill). In rearrange also
     oracle, as of h3data generate."""
+    light: LightMode | None = None
+    """Light in the colours that policies are shown: baked, from windows, sun and lamps, or flat, the same everywhere (default:
+    the light that each has learned in). Those that see no colours play as ever."""
     workers: int = 1
     """Processes."""
     executor: ExecutorOption = "local"
@@ -97,6 +101,8 @@ class Evaluate:
         is_skill = self.task == "skill"
         if is_skill and (self.keep or self.zsc or self.policies != ALL or self.partners != ALL):
             raise InputError("Skills are judged with the robot alone: no --policies, --partners, --zsc or --keep.")
+        if is_skill and self.light is not None:
+            raise InputError("Skills see depth, to which light makes no difference. Hint: leave out --light.")
         request = EvaluationRequest(
             task="rearrange" if is_skill else self.task,
             policies="still" if is_skill else self.policies,
@@ -115,6 +121,7 @@ class Evaluate:
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             skills=self.skills or ("learned" if is_skill else ""),
+            light=self.light,
         )
         if is_skill:
             judged = evaluate_skills(

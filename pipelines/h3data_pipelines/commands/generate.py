@@ -155,8 +155,7 @@ class Generate:
     """Camera whose video is added to the dataset (observation.images.<name>), as in rerender; repeatable."""
     people: PeopleOption = "skin"
     light: LightOption = "baked"
-    """Of the videos. Policies and environments that render cameras as they act
-    see flat light: use flat for what is to learn for them."""
+    """Of the videos. Policies that see colours are shown the light that they have learned in."""
     workers: int = 1
     """Processes."""
     executor: ExecutorOption = "local"

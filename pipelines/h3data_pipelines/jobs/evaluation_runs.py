@@ -14,6 +14,7 @@ from typing import Any
 from h3data.errors import InputError
 from h3data.plugins import own_version
 from h3data.recording import Recording
+from h3data.render.light.sources import LightMode
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.jobs.episode_files import FileJobs, notes_on, requested_jobs
 from h3data_pipelines.jobs.episodes import Choices, check_numbers, with_skills
@@ -61,6 +62,8 @@ class EvaluationRequest:
     skills: str = ""
     """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``; empty:
     those that know all."""
+    light: LightMode | None = None
+    """Light in the colours that policies are shown; None: that in which each has learned."""
 
     def jobs(self) -> list[Evaluation]:
         """All episodes, or an `InputError` that names the bad option."""
@@ -69,13 +72,15 @@ class EvaluationRequest:
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
         """All episodes, and what a file lacks; an `InputError` names the bad option."""
         from sim_kinematic.policies.assignment import policy_names
+        from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task
 
         check_numbers(
             episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
         )  # fmt: skip
         task = find_task(self.task)
-        policies = chosen_names("--policies", self.policies, policy_names(task, "robot"))
+        named = chosen_names("--policies", self.policies, policy_names(task, "robot"))
+        policies = tuple(dict.fromkeys(in_light(name, self.light) for name in named))
         crosses = "human" in task.defaults and task.crosses_partners
         partners: tuple[str, ...] = ()
         if crosses or self.partners != ALL:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from h3data.errors import InputError
+from h3data.render.light.sources import LightMode
 from h3data.terminal import counted
 from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome
 from h3data_pipelines.learning.folders import run_folder
@@ -23,10 +24,10 @@ if TYPE_CHECKING:
 
 OF_REARRANGE = ("population", "workers", "episodes_file", "without")
 """Options that only rearrange has,"""
-OF_SOCIAL_NAV = ("recipe", "observations", "hold", "init", "rollout", "minibatches", "follow_steps", "horizon")
+OF_SOCIAL_NAV = ("recipe", "observations", "light", "hold", "init", "rollout", "minibatches", "follow_steps", "horizon")
 """those that only social_nav and skills have, beside the number of GPUs,"""
-NOT_OF_SKILLS = (*OF_REARRANGE, "walk", "follow_steps")
-"""and those that skills do not have: nobody else is there."""
+NOT_OF_SKILLS = (*OF_REARRANGE, "walk", "follow_steps", "light")
+"""and those that skills do not have: nobody else is there, and they see depth."""
 TASKS = "social_nav, rearrange or skill"
 
 
@@ -100,6 +101,9 @@ class Train:
     humanoid_gps,range_scan); there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, way and
     range_scan. Skills: arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor,
     resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else all but arm_depth)."""
+    light: LightMode | None = None
+    """Light in colours (arm_rgb): flat, the same everywhere, or baked, from windows, sun and lamps, which needs --device cpu.
+    The policy's card says it, and it is shown the same wherever it plays (default: flat)."""
     worlds: int | None = None
     """Worlds that are stepped at once. rearrange: episodes of an update, with oracle skills and the paper's people, on --device
     (default: none; episodes have our full rules and are played by --workers)."""
@@ -150,9 +154,10 @@ class Train:
             whose = "other tasks" if self.task == "skill" else "rearrange"
             raise InputError(f"Options of {whose}, not of {self.task}: {', '.join(strangers)}.")
         from h3data_training.ranks import torchrun_place
-        from h3data_training.run import describe, train
+        from h3data_training.run import describe, require_light, train
 
         name, settings = self._settings()
+        require_light(settings, self.device)
         first = None if self.init is None else _first(self.init)
         if first is not None:
             settings = settings.second_stage()
@@ -182,7 +187,7 @@ class Train:
             "minutes": self.minutes, "updates": self.updates, "scenes": self.scenes,
             "episodes_per_home": self.episodes_per_home, "worlds": self.worlds,
             "hold": self.hold, "observations": shown, "robot": self.robot, "rollout": self.rollout,
-            "minibatches": self.minibatches,
+            "minibatches": self.minibatches, "light": self.light,
         }  # fmt: skip
         name = self.recipe or "tiny"
         if self.task == "skill":
