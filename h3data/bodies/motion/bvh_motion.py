@@ -250,7 +250,7 @@ def _upright(places: Array, index: Mapping[str, int], where: str) -> Array:
     if any(a is None for a in axes) or abs(np.dot(*axes)) > 0.5:  # type: ignore[arg-type]
         raise FormatError(
             "Without rotations this figure does not stand upright (its joint frames follow its bones). Hint: say in a table "
-            f"where the axes point, --names FILE with [axes] (docs/motion.md): {where}"
+            f"where the axes point, names=FILE with [axes] (docs/motion.md): {where}"
         )
     return np.stack([axes[0], axes[1], np.cross(axes[0], axes[1])], axis=1)  # type: ignore[arg-type]
 
@@ -285,7 +285,7 @@ def _corrections(found: _Mapped, places: Array, upright: Array, where: str) -> d
             if np.dot(bone, straight) < np.cos(np.radians(BEND_DEG)):
                 raise FormatError(
                     f"Without rotations, {name} points away from a T-pose by more than {BEND_DEG:g} degrees. Hint: say in "
-                    f"a table where the axes point, --names FILE with [axes] (docs/motion.md): {where}"
+                    f"a table where the axes point, names=FILE with [axes] (docs/motion.md): {where}"
                 )
             turn = _shortest_turn(np.array(straight), bone)
         elif name.startswith(SIDES) and not name.endswith(_OWN_TURN[found.table.feet_follow_shanks]):
