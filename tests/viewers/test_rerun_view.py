@@ -24,6 +24,7 @@ from h3data_viewers import CameraFeed, write_rrd
 from h3data_viewers.rerun import transforms
 from h3data_viewers.rerun.cameras import frame_steps
 from h3data_viewers.rerun.entities import agent_colors
+from h3data_viewers.rerun.floor_marks import stacked_labels
 from h3data_viewers.rerun.layout import LoggedRecording, layout
 from h3data_viewers.rerun.sink import Sink
 from h3data_viewers.rerun.timeseries import lanes_of, log_scalars
@@ -171,6 +172,8 @@ def test_paths_begin_and_end_with_marks_in_the_colour_of_their_agent(written):
         assert np.allclose(np.subtract(start[0], track[0]), [0, 0.03, 0], atol=1e-6)
         assert np.allclose(np.subtract(end[0], track[-1]), [0, 0.03, 0], atol=1e-6)
         assert file.column(f"{entity}/start", "Points3D:labels")[1] == [f"{name} starts"]
+        assert file.column(f"{entity}/start", "Points3D:show_labels")[1] == [False]  # the agent's name stands there
+        assert file.column(f"{entity}/end", "Boxes3D:show_labels")[1] == [False]
         own = {file.column(entity, "LineStrips3D:colors")[1][0], file.column(f"{entity}/end", "Boxes3D:colors")[1][0]}
         assert len(own) == 1
         colors |= own
@@ -219,6 +222,47 @@ def test_only_distances_share_a_plot():
         "/metrics/follow_from_1m",
         "/metrics/follow_to_2m",
     )
+
+
+def test_every_curve_of_a_plot_has_a_colour_of_its_own(written):
+    _, _, file = written
+    curves = ("geodesic_agents", "distance_l2", "follow_from_1m", "follow_to_2m")
+    colors = [file.column(f"/metrics/{name}", "SeriesLines:colors")[1][0] for name in curves]
+    assert len(set(colors)) == 4
+
+
+def test_only_following_has_bounds_and_states_of_following():
+    import rerun as rr
+
+    followed = example()
+    tidied = replace(followed, episode=replace(followed.episode, task="rearrange"))
+    stream = rr.RecordingStream("h3data", recording_id="bounds")
+    plotted = log_scalars(Sink(stream, tidied.columns["time_ns"]), tidied)
+    assert plotted == ("/metrics/geodesic_agents", "/metrics/distance_l2")
+    assert set(lanes_of(followed)["encounter"]) >= {"following", "too close"}
+    assert set(lanes_of(tidied)["encounter"]) == {"apart", "near", "contact"}
+
+
+def test_goals_side_by_side_share_one_label():
+    points = np.array([[0.0, 1, 0], [3, 1, 0], [0.3, 0.5, 0.3]])
+    assert stacked_labels(points, ["cup", "box", "book"]) == ["cup\nbook", "box", ""]
+
+
+def test_the_window_opens_paused_with_its_layout_before_its_meshes(tmp_path):
+    from rerun.blueprint.components import PlayState
+    from rerun.chunk import RrdReader
+
+    recording = example()
+    path = write_rrd(recording, tmp_path / "episode.rrd", replay=Stage(recording))
+    reader = RrdReader(path)
+    states = [
+        state
+        for chunk in reader.stream(store=reader.blueprints()[0]).to_chunks()
+        for state in chunk.to_record_batch().to_pydict().get("TimePanelBlueprint:play_state", [])
+    ]
+    assert states == [[PlayState.Paused.value]]
+    content = path.read_bytes()
+    assert 0 < content.index(b"time_panel") < content.index(b"SeriesLines:") < content.index(b"world/scene/floor")
 
 
 def test_encounter_lane():

@@ -134,7 +134,7 @@ class View:
     def _shown(self, path: Path, recording: Recording, replay: Replay) -> ShownRecording:
         from h3data_viewers import ShownRecording, rendered_feed
 
-        feeds = [rendered_feed(replay, name) for name in self.camera]
+        feeds = [rendered_feed(replay, name) for name in dict.fromkeys(self.camera)]
         return ShownRecording(recording=recording, replay=replay, cameras=feeds, name=str(place(path)))
 
     def _beside(self) -> Path:

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from h3data.recording import Recording
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.rerun.floor_marks import object_goals, walking_goals
-from h3data_viewers.rerun.timeseries import agent_pair, curves_of, lanes_of
+from h3data_viewers.rerun.timeseries import agent_pair, curves_of, is_following, lanes_of
 
-CONTACT_LANES = {"collision": "robot and person", "robot_contact": "robot at an obstacle"}
-"""Flags of contact and the names of their lanes. A robot that slides along walls is no event: it happens all the time."""
+CONTACT_LANES = {"collision": "robot and person", "robot_contact": "robot slides along furniture"}
+"""Flags of contact and the names of their lanes. A robot that slides along furniture and walls is no event and no
+collision: it happens all the time, and CR counts contacts of robot and person."""
 VERBS = {"pick": "picks up", "place": "puts down", "new_goal": "heads for a new goal", "found": "finds"}
 """Kinds of events as parts of a sentence; others are shown as they are."""
 LEVELS = 4000
@@ -48,7 +49,7 @@ def _charts(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -
     curves, metres = curves_of(recording)
     distances = [_curve(payload, _title(name), curves[name][rows]) for name in metres]
     if distances:
-        band = _FOLLOWING_M if recording.episode.task == "social_nav" else None
+        band = _FOLLOWING_M if is_following(recording) else None
         charts.append({"title": "Distance between the agents", "unit": "m", "curves": distances, "band": band})
     goals = recording.columns.get("metrics.at_goal")
     if goals is not None and goals.ndim == 2:

@@ -63,8 +63,12 @@ def scaled(camera: Camera, factor: float) -> Camera:
     return camera.resized(*(max(round(side * factor), 1) for side in (camera.width, camera.height)))
 
 
-def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> str:
-    """Logs a camera, its track and its images, and returns the path of its entity.
+def camera_entity(camera: Camera) -> str:
+    return f"world/cameras/{entity_part(camera.name)}"
+
+
+def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> None:
+    """Logs a camera, its track and its images as `camera_entity`.
 
     With ``images="video"`` the video file is embedded unchanged: smooth, but Rerun's desktop viewer plays H.264 only
     where FFmpeg is installed (AV1 plays without). With ``images="stills"`` it is stored as JPEGs of every fifth frame,
@@ -73,7 +77,7 @@ def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> str:
     import rerun as rr
 
     camera = feed.camera
-    entity = f"world/cameras/{entity_part(camera.name)}"
+    entity = camera_entity(camera)
     poses = np.asarray(camera.pose)[None] if feed.poses is None else feed.poses
     if len(poses) == 1:
         position, quat, _ = decompose(np.asarray(poses, np.float64))
@@ -100,7 +104,6 @@ def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> str:
             image_plane_distance=0.5,
         )
         sink.static(entity, pinhole)
-    return sink.path(entity)
 
 
 def frame_steps(frames: int, steps: int) -> NDArray[np.int64]:

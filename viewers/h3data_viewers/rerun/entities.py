@@ -97,13 +97,17 @@ def log_agents(sink: Sink, recording: Recording, with_meshes: set[int]) -> None:
             entity = f"world/trajectories/{entity_part(agent.name)}"
             sink.static(entity, lines)
             start, end = strips[0][0], strips[-1][-1]
-            ball = rr.Points3D([start], radii=[MARK_M], colors=[color], labels=[f"{agent.name} starts"])
+            # Hidden labels: at the first and the last step the agent's name stands in the same place.
+            ball = rr.Points3D(
+                [start], radii=[MARK_M], colors=[color], labels=[f"{agent.name} starts"], show_labels=False
+            )
             sink.static(f"{entity}/start", ball)
             cube = rr.Boxes3D(
                 centers=[end],
                 half_sizes=[[MARK_M] * 3],
                 colors=[color],
                 labels=[f"{agent.name} ends"],
+                show_labels=False,
                 fill_mode="solid",
             )
             sink.static(f"{entity}/end", cube)

@@ -20,6 +20,8 @@ _LOG = logging.getLogger(__name__)
 FREE_COLOR = (102, 187, 106, 160)
 GOAL_COLOR = (236, 64, 122)
 ABOVE_FLOOR_M = 0.015
+LABEL_APART_M = 0.8
+"""Labels of points that are nearer to each other would lie on each other when the whole home is in view."""
 STAIRS_EVERY_M = 0.25
 """In homes with stairs the border has a point at least this often, to follow them."""
 
@@ -64,13 +66,28 @@ def log_goals(sink: Sink, recording: Recording) -> None:
 
     positions, labels = object_goals(recording)
     if len(positions):
-        points = rr.Points3D(positions, radii=[0.07], colors=[GOAL_COLOR], labels=labels, show_labels=True)
+        texts = stacked_labels(positions, labels)
+        points = rr.Points3D(positions, radii=[0.07], colors=[GOAL_COLOR], labels=texts, show_labels=True)
         sink.static("world/goals/objects", points)
     for index, rows, points in walking_goals(recording):
         agent = rr.escape_entity_path_part(recording.agents[index].name or "unnamed")
         static = rr.Points3D.from_fields(colors=[GOAL_COLOR], radii=[0.09])
         sink.static(f"world/goals/{agent}", static)
         sink.columns(f"world/goals/{agent}", rows, rr.Points3D.columns(positions=points))
+
+
+def stacked_labels(positions: NDArray[np.floating], labels: Sequence[str]) -> list[str]:
+    """Returns one label per point [N, 3]: points nearer than `LABEL_APART_M` to an earlier one join its label, line by line."""
+    heads: list[int] = []
+    texts = [""] * len(labels)
+    for k, label in enumerate(labels):
+        near = [h for h in heads if np.linalg.norm((positions[h] - positions[k])[[0, 2]]) < LABEL_APART_M]
+        if near:
+            texts[near[0]] += f"\n{label}"
+        else:
+            heads.append(k)
+            texts[k] = label
+    return texts
 
 
 def object_goals(recording: Recording) -> tuple[NDArray[np.float64], list[str]]:

@@ -53,16 +53,16 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
     """Arranges views of the logged recordings, which share plots, lanes and log; rows without content are omitted.
 
     A single home stands to the left of the other views, several stand side by side above them. Pictures in third person
-    are the largest.
+    are the largest. The window opens paused at the first step.
     """
     import rerun.blueprint as rrb
 
-    homes = [_home_view(recording) for recording in recordings]
     rows: list[rrb.View | rrb.Container] = []
     shares: list[float] = []
     pictures = [(recording, entity) for recording in recordings for entity in recording.cameras]
     large = [picture for picture in pictures if camera_name(picture[1]) == THIRD_PERSON]
     small = [picture for picture in pictures if picture not in large]
+    homes = [_home_view(recording, wide=not large or len(recordings) > 1) for recording in recordings]
     for group, share in ((large, LARGE_SHARE), (small, 1.3 if len(small) <= 3 else 2.0)):
         views = [
             rrb.Spatial2DView(origin=entity, name=f"{recording.label} {camera_name(entity)}".lstrip())
@@ -94,7 +94,8 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
         if any(roots):
             rows.append(rrb.TextLogView(origin="/", contents=[f"{root}/**" for root in roots if root], name=name))
             shares.append(0.7)
-    time = rrb.TimePanel(state="collapsed", timeline=timeline)
+    # Paused: viewers that are sent a file over the network follow the newest data, and would show the last step.
+    time = rrb.TimePanel(state="collapsed", timeline=timeline, play_state="paused")
     if not rows:
         root = homes[0] if len(homes) == 1 else rrb.Horizontal(*homes)
     elif len(homes) == 1:
@@ -106,10 +107,10 @@ def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Bluep
     return rrb.Blueprint(root, time, collapse_panels=True)
 
 
-def _home_view(recording: LoggedRecording) -> rrb.View:
+def _home_view(recording: LoggedRecording, *, wide: bool) -> rrb.View:
     import rerun.blueprint as rrb
 
-    eye, target = bird_view(recording.focus)
+    eye, target = bird_view(recording.focus, wide=wide)
     return rrb.Spatial3DView(
         origin=recording.world,
         name=recording.name,
@@ -119,9 +120,12 @@ def _home_view(recording: LoggedRecording) -> rrb.View:
     )
 
 
-def bird_view(focus: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Returns eye and target [3] of a view that shows the box ``focus`` [2, 3] from above and slightly from +Z."""
+def bird_view(focus: NDArray[np.floating], *, wide: bool = True) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Returns eye and target [3] of a view that shows the box ``focus`` [2, 3] from above and slightly from +Z.
+
+    ``wide`` views are wider than high; the others are about square.
+    """
     lo, hi = focus
     target = np.array([(lo[0] + hi[0]) / 2, lo[1], (lo[2] + hi[2]) / 2])
-    distance = max(hi[0] - lo[0], 1.25 * (hi[2] - lo[2]), 3.0)  # z counts more because the window is wide
+    distance = max((1.0 if wide else 1.25) * (hi[0] - lo[0]), 1.25 * (hi[2] - lo[2]), 3.0)
     return target + distance * np.array([0.0, 1.0, 0.42]), target

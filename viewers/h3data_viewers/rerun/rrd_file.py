@@ -22,11 +22,11 @@ from h3data.files import part_file
 from h3data.geometry import transform_points
 from h3data.recording.records import Recording
 from h3data.replay import Replay, camera_track
-from h3data_viewers.rerun.cameras import CameraFeed, ImageStorage, log_camera
+from h3data_viewers.rerun.cameras import CameraFeed, ImageStorage, camera_entity, log_camera
 from h3data_viewers.rerun.entities import Drawable, PosedScene, entity_part, log_agents, log_rigid, log_skins
 from h3data_viewers.rerun.floor_marks import log_free_space, log_goals
 from h3data_viewers.rerun.layout import LoggedRecording, layout
-from h3data_viewers.rerun.sink import Sink
+from h3data_viewers.rerun.sink import HeldStream, Sink
 from h3data_viewers.rerun.timeseries import log_events, log_inputs, log_lanes, log_latency, log_scalars
 
 if TYPE_CHECKING:
@@ -165,35 +165,21 @@ def _log(stream: rr.RecordingStream, sides: Sequence[ShownRecording], *, images:
     labels = LABELS if len(sides) > 1 else ("",)
     longest = max(sides, key=lambda side: len(side.recording))
     _log_properties(stream, sides)
-    logged = []
+    held, logged = HeldStream(), []
     for side, label, group in zip(sides, labels, feeds, strict=True):
-        sink = Sink(stream, side.recording.columns["time_ns"], label)
-        logged.append(_log_side(side, sink, group, images, skin_every, bounds=side is longest))
+        sink = Sink(held, side.recording.columns["time_ns"], label)
+        logged.append(_log_curves(side, sink, group, bounds=side is longest))
+    # The layout comes first: viewers play, in a layout of their own, whatever they have before it.
     stream.send_blueprint(layout(logged, timeline=_timeline(sides)))
+    held.release(stream)
+    for side, label, group in zip(sides, labels, feeds, strict=True):
+        _log_world(side, Sink(stream, side.recording.columns["time_ns"], label), group, images, skin_every)
 
 
-def _log_side(
-    shown: ShownRecording,
-    sink: Sink,
-    cameras: Sequence[CameraFeed],
-    images: ImageStorage,
-    skin_every: int,
-    *,
-    bounds: bool,
-) -> LoggedRecording:
-    import rerun as rr
-
+def _log_curves(shown: ShownRecording, sink: Sink, cameras: Sequence[CameraFeed], *, bounds: bool) -> LoggedRecording:
+    """Logs plots, lanes and texts; returns what the layout shows of this recording, with the home and the cameras."""
     recording, replay, compared = shown.recording, shown.replay, bool(sink.label)
-    share = 0.5 if compared else 1.0
-    sink.static("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
     drawables = list(replay.drawables) if replay is not None else []
-    log_agents(sink, recording, {d.agent for d in drawables})
-    if replay is not None:
-        log_rigid(sink, recording, replay, share=share)
-        log_skins(sink, recording, replay, skin_every, share=share)
-    log_free_space(sink, recording, replay.scene if isinstance(replay, Replay) else None)
-    log_goals(sink, recording)
-    camera_paths = [(feed, log_camera(sink, feed, images=images)) for feed in cameras]
     ceilings = {f"world/scene/{entity_part(d.layer)}" for d in drawables if d.layer == "ceiling" and not d.moving}
     return LoggedRecording(
         label=sink.label,
@@ -201,13 +187,31 @@ def _log_side(
         world=sink.path("world"),
         focus=_focus(recording, drawables),
         hidden=sorted(sink.path(entity) for entity in ceilings),
-        cameras=[path for feed, path in camera_paths if feed.has_images],
+        cameras=[sink.path(camera_entity(feed.camera)) for feed in cameras if feed.has_images],
         plotted=log_scalars(sink, recording, shade=LABELS.index(sink.label) if compared else None, bounds=bounds),
         lanes=log_lanes(sink, recording, ends=compared),
         latency=log_latency(sink, recording),
         log=sink.path("log") if log_events(sink, recording, ends=compared) else "",
         inputs=sink.path("input") if log_inputs(sink, recording) else "",
     )
+
+
+def _log_world(
+    shown: ShownRecording, sink: Sink, cameras: Sequence[CameraFeed], images: ImageStorage, skin_every: int
+) -> None:
+    import rerun as rr
+
+    recording, replay = shown.recording, shown.replay
+    share = 0.5 if sink.label else 1.0
+    sink.static("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+    log_agents(sink, recording, {d.agent for d in replay.drawables} if replay is not None else set())
+    if replay is not None:
+        log_rigid(sink, recording, replay, share=share)
+        log_skins(sink, recording, replay, skin_every, share=share)
+    log_free_space(sink, recording, replay.scene if isinstance(replay, Replay) else None)
+    log_goals(sink, recording)
+    for feed in cameras:
+        log_camera(sink, feed, images=images)
 
 
 def _title(shown: ShownRecording) -> str:

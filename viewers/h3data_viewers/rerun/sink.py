@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,25 @@ from h3data.recording.records import STEP_NS
 if TYPE_CHECKING:
     import rerun as rr
 
+
+@dataclass(eq=False)
+class HeldStream:
+    """Calls of a Rerun stream that wait until `release`: what a layout names is known only once it is logged, but viewers
+    play whatever comes before the layout."""
+
+    calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = field(default_factory=list)
+
+    def log(self, *args: Any, **options: Any) -> None:
+        self.calls.append(("log", args, options))
+
+    def send_columns(self, *args: Any, **options: Any) -> None:
+        self.calls.append(("send_columns", args, options))
+
+    def release(self, stream: rr.RecordingStream) -> None:
+        for name, args, options in self.calls:
+            getattr(stream, name)(*args, **options)
+
+
 Rows = NDArray[np.integer] | Sequence[int]
 
 
@@ -21,7 +40,7 @@ Rows = NDArray[np.integer] | Sequence[int]
 class Sink:
     """A Rerun stream bound to the time column and the root entity of one recording."""
 
-    stream: rr.RecordingStream
+    stream: rr.RecordingStream | HeldStream
     time_ns: NDArray[np.int64]
     """Column ``time_ns`` of the recording, shape [T]."""
     label: str = ""

@@ -31,6 +31,10 @@ STATE_COLORS = {
 }
 CURVE_COLORS = ((0x1565C0FF, 0x64B5F6FF, 0x4DD0E1FF), (0xD84315FF, 0xFFB74DFF, 0xF06292FF))
 """Curve colours of the first and of the second recording in a shared plot."""
+ALONE_COLORS = (0x1565C0FF, 0x8E24AAFF, 0x00ACC1FF, 0x6D4C41FF)
+"""Curve colours of a recording that has its plot for itself."""
+BOUNDS = (("follow_from_1m", 1.0, 0xC0A000FF), ("follow_to_2m", 2.0, 0x2E7D32FF))
+"""Distances [m] between which the robot counts as following, and the colours of their lines."""
 PALETTE = (0x1E88E5FF, 0x8E24AAFF, 0x00897BFF, 0xF4511EFF, 0x6D4C41FF, 0x3949ABFF, 0xC0CA33FF, 0xD81B60FF, 0x00ACC1FF)
 
 
@@ -40,6 +44,11 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
         return find_agents(recording)
     except InputError:
         return None
+
+
+def is_following(recording: Recording) -> bool:
+    """Returns whether the robot's task is to follow a person: only then are 1 and 2 m bounds, and nearness a merit."""
+    return recording.episode.task == "social_nav"
 
 
 # --- plots ------------------------------------------------------------------------------------------------------------
@@ -62,26 +71,26 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, b
     """Logs every per-step scalar below ``metrics/`` and returns the paths of the distances, which share one plot.
 
     Args:
-        shade: index of the recording, which then sets the colour and the name of its curves; for plots that several
+        shade: index of the recording, which then sets the colours and the names of its curves; for plots that several
             recordings share.
-        bounds: whether to log the two distances between which the robot counts as following.
+        bounds: whether to log the two distances between which the robot counts as following, if following is the task.
     """
     import rerun as rr
 
     curves, plotted = curves_of(recording)
-    pair = agent_pair(recording)
     for name, column in curves.items():
         values = column.astype(np.float64)
         values[np.isinf(values)] = np.nan  # infinite: no path; NaN leaves a gap in the curve
-        if shade is not None and name in plotted:
-            color = CURVE_COLORS[shade][plotted.index(name) % 3]
-            style = rr.SeriesLines(names=[f"{sink.label} {name}"], colors=np.array([color], np.uint32), widths=[2.0])
-            sink.static(f"metrics/{name}", style)
+        if name in plotted:
+            family = ALONE_COLORS if shade is None else CURVE_COLORS[shade]
+            color = np.array([family[plotted.index(name) % len(family)]], np.uint32)
+            title = f"{sink.label} {name}".lstrip()
+            sink.static(f"metrics/{name}", rr.SeriesLines(names=[title], colors=color, widths=[2.0]))
         sink.columns(f"metrics/{name}", None, rr.Scalars.columns(scalars=values))
-    if pair is not None and len(recording) and bounds:
+    if bounds and len(recording) and is_following(recording) and agent_pair(recording) is not None:
         ends = np.unique([0, len(recording) - 1])
-        for name, bound in (("follow_from_1m", 1.0), ("follow_to_2m", 2.0)):
-            style = rr.SeriesLines(names=[name], colors=np.array([0x43A047A0], np.uint32), widths=[1.0])
+        for name, bound, color in BOUNDS:
+            style = rr.SeriesLines(names=[name], colors=np.array([color], np.uint32), widths=[1.0])
             sink.static(f"metrics/{name}", style)
             sink.columns(f"metrics/{name}", ends, rr.Scalars.columns(scalars=np.full(len(ends), bound)))
             plotted.append(name)
@@ -147,10 +156,13 @@ def _coded(names: tuple[str, ...], code: int) -> str:
 
 
 def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]:
-    """Classifies each row: apart, near, following (1-2 m and facing the human), too close, or contact."""
+    """Classifies each row: apart, near, or contact; if following is the task, also following (1-2 m, facing the person)
+    and too close."""
     distance = l2_distance(recording, robot, human)
-    following = following_rows(recording, robot, human)
     contact = recording.columns.get("metrics.collision", np.zeros(len(recording), np.bool_))
+    if not is_following(recording):
+        return np.select([contact, distance <= 2.0], ["contact", "near"], "apart").tolist()
+    following = following_rows(recording, robot, human)
     choice = np.select(
         [contact, following, distance < 1.0, distance <= 2.0], ["contact", "following", "too close", "near"], "apart"
     )
