@@ -32,6 +32,7 @@ class Evaluate:
         h3data evaluate rearrange --policies complement,still --partners both,object_1 --episodes 20 -o out/pairs
         h3data evaluate social_nav --scenes h3-homes/test --workers 2 -o out/social_nav
         h3data evaluate social_nav --policies rollout_expert,weights:net.npz --episodes 20 -o out/mine
+        h3data evaluate social_nav --policies "weights:out/s*/policy.npz,rollout_expert" -o out/seeds
         h3data evaluate rearrange --scenes medium --homes 2 --episodes 8 --workers 2 -o out/pairs
         h3data evaluate rearrange --episodes 20 --keep --zsc plan_pop_1 --zsc plan_pop_2 -o out/zsc
         h3data evaluate rearrange --episodes-file val.json.gz --assets data/ -o out/val
@@ -48,7 +49,8 @@ class Evaluate:
     policies: str = ALL
     """Robots, separated by commas. social_nav: rollout_expert, heuristic_expert, sampling_expert, future_oracle,
     learned_follower, end_to_end, random, stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object,
-    still, and the learned learn_single, plan_pop_3_robot and learn_pop; or all."""
+    still, and the learned learn_single, plan_pop_3_robot and learn_pop; or all. weights:out/s*/policy.npz, in quotes, stands
+    for all files that fit: they are one row, the mean over training seeds and its standard deviation."""
     partners: str = ALL
     """rearrange: policies of the person, as --partner of h3data generate, separated by commas: plan_pop_1 to plan_pop_4,
     both, object_1, object_2, still, and the learned learn_single_partner_0 to _2 and learn_pop_partner_0 to _2; or all."""

@@ -23,6 +23,7 @@ from h3data_pipelines.jobs.evaluations import (
     Evaluation,
     chosen_names,
     failed_evaluation,
+    files_of,
     play_evaluation,
     write_recordings,
 )
@@ -39,7 +40,7 @@ class EvaluationRequest:
 
     task: str
     policies: str = ALL
-    """Robots, separated by commas, or ``all``."""
+    """Robots, separated by commas, or ``all``. ``weights:PATTERN`` stands for all files that fit, which are one row."""
     partners: str = ALL
     """People, separated by commas, or ``all``."""
     zsc: tuple[str, ...] = ()
@@ -99,6 +100,18 @@ class EvaluationRequest:
                 task.check_policy(kind, name, choices.spec())
         base = requested_jobs(self, choices, default_scenes=EvaluationRequest.scenes)
         return [Evaluation(job, policies, partners) for job in base.jobs], base
+
+    @property
+    def seeds(self) -> dict[str, tuple[str, ...]]:
+        """Policies that are one row of the table, as they are recorded, by the pattern that names them."""
+        from sim_kinematic.policies.learned import in_light, stamped
+
+        found = {name: files_of(name) for name in (each.strip() for each in self.policies.split(","))}
+        return {
+            pattern: tuple(dict.fromkeys(in_light(stamped(file), self.light) for file in files))
+            for pattern, files in found.items()
+            if len(files) > 1
+        }
 
     @property
     def population(self) -> tuple[str, ...]:
@@ -216,7 +229,7 @@ def evaluate_task(
     rows = [row for result in played for row in result["rows"]]
     result = EvaluationResult(
         folder=out,
-        table=_table(jobs[0], rows, request.population),
+        table=_table(jobs[0], rows, request.population, request.seeds),
         rows=tuple(rows),
         episodes=len(jobs),
         new=new,
@@ -255,12 +268,19 @@ def _asked(request: EvaluationRequest, job: Evaluation) -> dict[str, Any]:
     }
 
 
-def _table(job: Evaluation, rows: list[dict[str, Any]], zsc: Sequence[str]) -> PolicyTable | CrossPlayTable:
+def _table(
+    job: Evaluation, rows: list[dict[str, Any]], zsc: Sequence[str], seeds: dict[str, tuple[str, ...]]
+) -> PolicyTable | CrossPlayTable:
     from h3data.metrics.registry import profile_for
 
     task = job.base.found_task
     if task.crosses_partners:
-        return cross_play_table((Row(**row) for row in rows), zsc)
+        return cross_play_table((Row(**row) for row in rows), zsc, seeds)
     if job.partners:
         rows = [{**row, "policy": f"{row['policy']} with {row['partner']}"} for row in rows]
-    return policy_table(profile_for(task.name, {}, task.profile or None), rows)
+        seeds = {
+            f"{pattern} with {partner}": tuple(f"{policy} with {partner}" for policy in policies)
+            for pattern, policies in seeds.items()
+            for partner in job.partners
+        }
+    return policy_table(profile_for(task.name, {}, task.profile or None), rows, seeds)
