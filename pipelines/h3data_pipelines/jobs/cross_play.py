@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from h3data.metrics import Metric, Summary
+from h3data.metrics.episode import deviation_lines
 from h3data.metrics.paper.profiles import REARRANGEMENT_PROFILE
 from h3data.metrics.paper.published import published_results
-from h3data.metrics.table import aligned, deviation_lines, summarize
-from h3data.terminal import counted
+from h3data.metrics.table import summarize
+from h3data.terminal import aligned, counted
 
 METRICS = tuple(m for m in REARRANGEMENT_PROFILE.metrics if m.name in REARRANGEMENT_PROFILE.report.columns)
 """Metrics of the paper's table."""

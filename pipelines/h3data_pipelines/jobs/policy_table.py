@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from h3data.metrics import Profile, Summary
-from h3data.metrics.table import aligned, deviation_lines, legend
+from h3data.metrics.episode import deviation_lines
+from h3data.metrics.table import legend
+from h3data.terminal import aligned
 from h3data_pipelines.jobs.cross_play import NOTHING, cell_dict, cell_of
 
 
