@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from h3data.metrics import Metric, Summary
+from h3data.metrics.episode import deviation_lines
 from h3data.metrics.paper.profiles import REARRANGEMENT_PROFILE
 from h3data.metrics.paper.published import published_results
-from h3data.metrics.table import aligned, deviation_lines
-from h3data.terminal import counted
+from h3data.terminal import aligned, counted
 from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary, cell_dict, cell_of, or_none, rows_of
 
 METRICS = tuple(m for m in REARRANGEMENT_PROFILE.metrics if m.name in REARRANGEMENT_PROFILE.report.columns)

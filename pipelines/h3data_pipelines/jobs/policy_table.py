@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from h3data.metrics import Profile, Summary
-from h3data.metrics.table import aligned, deviation_lines, legend
+from h3data.metrics.episode import deviation_lines
+from h3data.metrics.table import legend
+from h3data.terminal import aligned
 from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary, cell_dict, cell_of, rows_of
 
 
