@@ -247,6 +247,27 @@ def test_what_is_missing_is_said_and_has_no_table(report: Report) -> None:
     assert "table-rearrange" not in report.html
 
 
+def test_numbers_come_before_what_is_missing(report: Report) -> None:
+    assert report.html.index('id="table-social_nav"') < report.html.index("Not in this report</h2>")
+
+
+def test_the_robot_has_the_colour_of_its_run_in_every_drawing(report: Report) -> None:
+    cards = re.findall(r'<article class="card">.*?</article>', report.html, re.DOTALL)
+    assert len(cards) == 2
+    for card in cards:
+        (chip,) = re.findall(r'class="chip (s\d)"', card)
+        assert set(re.findall(r'class="(?:way|line|start|end) (s\d)"', card)) == {chip}
+        assert "person-way" in card
+    assert "robot-way" not in report.html
+
+
+def test_the_command_that_made_a_report_is_its_last_line(runs: dict[str, Path], tmp_path: Path) -> None:
+    words = ["report", str(runs["stand_still"]), "--pictures", "0", "--title", "A & B", "-o", str(tmp_path / "r.html")]
+    assert main(words) == 0
+    (command,) = re.findall(r"<footer>.*?<code>(.*?)</code>", (tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert command == "h3data report stand_still --title &#x27;A &amp; B&#x27; --pictures 0 -o r.html"
+
+
 def test_pairs_need_the_same_scene_and_seed(runs: dict[str, Path], tmp_path: Path) -> None:
     other = tmp_path / "other"
     assert main(["generate", "social_nav", "--policy", "heuristic_expert", "--episodes", "3", "--homes", "1",

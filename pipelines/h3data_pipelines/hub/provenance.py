@@ -23,7 +23,7 @@ def command_line(name: str, command: Command) -> str:
     """The command as it is typed, without options that change nothing in its result; folders outside are cut off paths,
     as datasets are given to others."""
     assert is_dataclass(command)
-    words = ["h3data", name]
+    words = ["h3data", *name.split()]
     for option in options_of(type(command)):
         value, default = getattr(command, option.field), type(command).__dataclass_fields__[option.field].default
         if option.field in _NOT_KEPT or (option.flags and value == default):

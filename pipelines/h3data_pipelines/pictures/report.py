@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,6 +22,7 @@ from h3data_pipelines.command import (
     write_text,
 )
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
+from h3data_pipelines.hub.provenance import command_line
 from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 
 if TYPE_CHECKING:
@@ -104,6 +106,7 @@ class ReportCommand:
                 study=StudyModel(steps=self.study_model, failed=self.failed),
                 zsc=[name for entry in self.zsc for name in entry.split(",") if name], replays=self.replays,
                 spread=partial(executor.run, lost=lost_part),
+                command=f"{command_line('report', self)} -o {shlex.quote(self.out.name)}",
             )  # fmt: skip
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())

@@ -20,6 +20,7 @@ from h3data.files import part_file, spreadsheet_cell
 from h3data.recording.records import STEP_NS
 from h3data.terminal import counted
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, write_text
+from h3data_pipelines.hub.provenance import command_line
 from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 from h3data_pipelines.studies.managing import REPORT
 
@@ -95,7 +96,7 @@ class StudyReport:
             title = f"{design.name}, version {design.version}" + (" (scripted participants)" if _bots(people) else "")
             write_report(
                 files, page, title=title, pictures=self.pictures, study=model, more=[forms] if forms else [],
-                folder=folder,
+                folder=folder, command=command_line("study report", self),
             )  # fmt: skip
         else:
             page.unlink(missing_ok=True)  # of an earlier report

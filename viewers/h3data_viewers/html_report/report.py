@@ -50,7 +50,7 @@ from h3data_viewers.html_report.report_ranks import rank_table
 from h3data_viewers.html_report.report_reading import Found
 from h3data_viewers.html_report.report_study import key_of, study_tables
 from h3data_viewers.html_report.report_tables import Table, to_html, to_latex, to_markdown
-from h3data_viewers.html_report.report_text import TASKS, beginning, episode_list, meanings, task_name
+from h3data_viewers.html_report.report_text import TASKS, absences, beginning, episode_list, meanings, task_name
 
 _BESIDE = 4
 """With more partners than this, heat maps stand below each other."""
@@ -95,6 +95,7 @@ def make_report(
     folder: Path | None = None,
     replays: ReplayFiles | None = None,
     spread: Spread[Found] = map,
+    command: str = "",
 ) -> Report:
     """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
@@ -103,7 +104,8 @@ def make_report(
     episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population; ``more`` are
     tables of what is not in recordings, each in a section of its own; ``folder`` is that of all
     paths, from which the page names them; ``replays`` takes HTML replays of the episodes with key
-    frames, which link them; ``spread`` may have other processes or machines read and measure the recordings.
+    frames, which link them; ``spread`` may have other processes or machines read and measure the recordings; ``command`` is
+    the command that makes the report, for its last line.
 
     Raises:
         InputError: there is no recording, or episodes that cannot share a table; see `gather`.
@@ -140,14 +142,18 @@ def make_report(
         missing.append(f"Learning curves: no folder holds {RUN_CURVES_FILE} (of h3data train) or {CURVES_FILE}.")
     body.append(_section("episodes", "All episodes", episode_list(data)))
     body.append(_section("methods", "What the numbers mean", meanings(data)))
-    head = beginning(title, data, missing, [(key, name) for key, name, _ in body], folder)
+    if missing:
+        body.append(_section("absent", "Not in this report", absences(missing)))
+    head = beginning(title, data, [(key, name) for key, name, _ in body], folder)
     return Report(
         title=title,
         data=data,
         tables=(*tables, *more, *pairs),
         tables_of_partners=tuple(heat),
         missing=tuple(missing),
-        html=_page(title, plans.definitions() + head + "<main>" + "".join(s for _, _, s in body) + "</main>" + _foot()),
+        html=_page(
+            title, plans.definitions() + head + "<main>" + "".join(s for _, _, s in body) + "</main>" + _foot(command)
+        ),
         replays=tuple(replays.written) if replays is not None else (),
     )
 
@@ -167,6 +173,7 @@ def write_report(
     folder: Path | None = None,
     replays: bool = False,
     spread: Spread[Found] = map,
+    command: str = "",
 ) -> Report:
     """`make_report`, written to ``out``; with ``replays``, HTML replays lie in the folder `replay_folder` beside it."""
     files = ReplayFiles(replay_folder(out)) if replays else None
@@ -183,6 +190,7 @@ def write_report(
         folder=folder,
         replays=files,
         spread=spread,
+        command=command,
     )
     with part_file(out) as part:
         part.write_text(report.html, encoding="utf-8")
@@ -250,7 +258,9 @@ def _task_sections(
     names = legend([run.name for run in runs])
     parts = []
     if table := next((t for t in tables if t.key == task), None):
-        beside = f"<h3>Beside the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
+        beside = (
+            f"<h3>Compared with the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
+        )
         parts.append(_section(task, table.title, to_html(table) + beside))
     keys = [*(key_of(name, task) for name in ("hitl", "contrasts")), f"ranks_{task}"]
     parts += [
@@ -272,8 +282,8 @@ def _task_sections(
     figures, which = trajectory_figures(runs, plans)
     if figures:
         lead = (
-            f"<p class=quiet>{which} Ways of the robots in the colour of their run, with a dot where each ended; ways of the "
-            "people in grey.</p>"
+            f"<p class=quiet>{which} Paths of the robots are in the colour of their run, with a dot where each ended; paths "
+            "of the people are grey.</p>"
         )
         parts.append(_section(f"{task}-plans", "Trajectories" + tail, lead + names + _panels(figures)))
     return parts
@@ -293,7 +303,8 @@ def _highlighted(
     cards = "".join(highlight_card(highlight, plans, assets, people, light, replays, folder) for highlight in chosen)
     ranking = ", then by ".join(ranked_by(chosen[0].run.profile))
     lead = (
-        f"<p class=quiet>Ranked by {ranking}. Plans: robot orange, person blue; a ring is the start, a dot the end.</p>"
+        f"<p class=quiet>Ranked by {ranking}. Plans: the robot in the colour of its run, the person grey; a ring is the start, "
+        "a dot the end.</p>"
     )
     return _section(f"{task}-episodes", "Worst and best episodes" + tail, lead + cards)
 
@@ -302,9 +313,10 @@ def _panels(figures: Sequence[str]) -> str:
     return f'<div class="panels">{"".join(figures)}</div>'
 
 
-def _foot() -> str:
+def _foot(command: str) -> str:
+    made = f"<p>Made by the command <code>{escape(command)}</code></p>" if command else ""
     return (
-        f"<footer>Made by h3data {escape(own_version())}. Published numbers: Puig et al. 2023, Habitat 3.0: A Co-Habitat "
+        f"<footer>{made}Made by h3data {escape(own_version())}. Published numbers: Puig et al. 2023, Habitat 3.0: A Co-Habitat "
         "for Humans, Avatars and Robots, arXiv:2310.13724.</footer>"
     )
 

@@ -293,14 +293,15 @@ def highlight_card(
     except H3DataError as fault:
         missing = f"<p class=missing>No key frames: {escape(str(fault))}</p>"
     plan = plans.of(episode, scene)
-    svg = plan.picture(f"Floor plan of {episode.metrics.scene}: ways of robot and person")
+    svg = plan.picture(f"Floor plan of {episode.metrics.scene}: paths of robot and person")
     for track in sorted(episode.tracks, key=lambda t: t.kind):  # the robot's above the person's
-        _draw_track(svg, plan, track, f"way {track.kind}-way")
+        own = series_class(highlight.place) if track.kind == "robot" else "person-way"
+        _draw_track(svg, plan, track, f"way {own}")
         known = track.xz[np.isfinite(track.xz).all(1)]
         if len(known):
             (ax, ay), (bx, by) = plan.points(known[[0, -1]])
-            svg.circle(ax, ay, 4, f"start {track.kind}-way", title=f"{track.kind}: start")
-            svg.circle(bx, by, 5, f"end {track.kind}-way", title=f"{track.kind}: end")
+            svg.circle(ax, ay, 4, f"start {own}", title=f"{track.kind}: start")
+            svg.circle(bx, by, 5, f"end {own}", title=f"{track.kind}: end")
     _scale_bar(svg, plan)
     pictures = "".join(
         f'<figure><img src="{image}" width="{_FRAME[0]}" height="{_FRAME[1]}" loading="lazy" alt="{escape(label)} at '
@@ -318,7 +319,7 @@ def highlight_card(
         f"{escape(episode.metrics.episode_id)}</h3><p class=quiet>{escape(episode.metrics.scene)}, "
         f"{episode.metrics.rows} steps, {episode.seconds(episode.metrics.rows - 1):.1f} s</p>"
         f'<ul class="values">{values}</ul><div class="card-body"><div class="card-plan">{svg.to_html()}'
-        f"{_sparkline(episode)}</div>"
+        f"{_sparkline(episode, series_class(highlight.place))}</div>"
         f'<div class="frames">{pictures}{missing}</div></div>'
         f"<p class=quiet>{link}Look: <code>h3data view {escape(_quoted(name))}</code></p></article>"
     )
@@ -360,7 +361,7 @@ def _frames(replay, rows: Sequence[int]) -> list[str]:
     ]
 
 
-def _sparkline(episode: ReportEpisode) -> str:
+def _sparkline(episode: ReportEpisode, css: str) -> str:
     distances = episode.distance_m
     if len(distances) < 2:
         return ""
@@ -370,7 +371,7 @@ def _sparkline(episode: ReportEpisode) -> str:
     svg.rect(28, y(2), width - 32, y(1) - y(2), "zone")
     for value in (0.0, 2.0, *([np.floor(high)] if high > 4 else [])):
         svg.text(22, y(value) + 4, f"{value:g} m", "tick", anchor="end")
-    svg.path([(x(k * GRID_S), y(d)) for k, d in enumerate(distances)], "line robot-way")
+    svg.path([(x(k * GRID_S), y(d)) for k, d in enumerate(distances)], f"line {css}")
     found = episode.metrics.encounter_row
     if found >= 0:
         svg.line(x(episode.seconds(found)), 4, x(episode.seconds(found)), height - 2, "mean")

@@ -26,12 +26,11 @@ def task_name(task: str) -> str:
 def beginning(
     title: str,
     data: ReportData,
-    missing: Sequence[str],
     sections: Sequence[tuple[str, str]],
     folder: Path | None = None,
 ) -> str:
-    """Title, numbers, findings, what is missing, and links to ``sections`` (key and title); ``folder`` in place of the
-    paths."""
+    """Title, numbers, findings, episodes that could not be measured, and links to ``sections`` (key and title); ``folder`` in
+    place of the paths."""
     episodes = list(data.episodes)
     steps = sum(e.metrics.rows for e in episodes)
     hours = sum(e.metrics.rows * e.metrics.dt_ns for e in episodes) * 1e-9 / 3600
@@ -52,7 +51,6 @@ def beginning(
     tiles = "".join(f"<li><b>{value}</b><span>{name}</span></li>" for value, name in facts)
     links = "".join(f'<li><a href="#{escape(key)}">{escape(name)}</a></li>' for key, name in sections)
     said = "".join(f"<li>{escape(line)}</li>" for line in _findings(data))
-    absent = "".join(f"<li>{escape(line)}</li>" for line in missing)
     failed = "".join(
         f"<li>{len(names)} not measured ({escape(reason)}): {escape(', '.join(names[:5]))}"
         f"{', …' if len(names) > 5 else ''}</li>"
@@ -65,13 +63,14 @@ def beginning(
     return (
         f"<header><h1>{escape(title)}</h1><p class=quiet>{where} · {date.today():%d %B %Y}</p>"
         f'<ul class="facts">{tiles}</ul><ul class="findings">{said}</ul>'
-        + (
-            f'<div class="missing"><p>Not in this report:</p><ul>{failed}{absent}</ul></div>'
-            if failed or absent
-            else ""
-        )
+        + (f'<div class="missing"><p>Episodes without numbers:</p><ul>{failed}</ul></div>' if failed else "")
         + f'<nav aria-label="Sections"><ul>{links}</ul></nav></header>'
     )
+
+
+def absences(missing: Sequence[str]) -> str:
+    """A list of what the report does not show, and why."""
+    return f'<div class="missing"><ul>{"".join(f"<li>{escape(line)}</li>" for line in missing)}</ul></div>'
 
 
 def _findings(data: ReportData) -> list[str]:
@@ -88,15 +87,16 @@ def _findings(data: ReportData) -> list[str]:
         ).items():
             if summary[name].count:
                 beside = f" (paper: {_in_words(metrics[name], published[name][0])})" if name in published else ""
-                said.append(f"{phrase} {_in_words(metrics[name], summary[name].mean)}{beside}")
+                share = " of episodes" if metrics[name].binary else ""
+                said.append(f"{phrase} {_in_words(metrics[name], summary[name].mean)}{share}{beside}")
         lines.append(f"{run.name} ({counted(len(run.episodes), 'episode')}) {', '.join(said)}.")
     return lines
 
 
 def _in_words(metric: Metric, mean: float) -> str:
     if metric.binary:
-        return f"{100 * mean:.0f}\u00a0%"
-    return number(mean, 1) + "\u00a0%" if metric.unit == "%" else number(mean)
+        return f"{100 * mean:.0f}%"
+    return number(mean, 1) + "%" if metric.unit == "%" else number(mean)
 
 
 def episode_list(data: ReportData) -> str:

@@ -205,13 +205,13 @@ def _log_world(
     share = 0.5 if sink.label else 1.0
     sink.static("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
     log_agents(sink, recording, {d.agent for d in replay.drawables} if replay is not None else set())
+    for feed in cameras:
+        log_camera(sink, feed, images=images)
     if replay is not None:
         log_rigid(sink, recording, replay, share=share)
         log_skins(sink, recording, replay, skin_every, share=share)
     log_free_space(sink, recording, replay.scene if isinstance(replay, Replay) else None)
     log_goals(sink, recording)
-    for feed in cameras:
-        log_camera(sink, feed, images=images)
 
 
 def _title(shown: ShownRecording) -> str:
