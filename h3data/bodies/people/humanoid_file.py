@@ -38,7 +38,7 @@ VERTEX_UNIT_M = 1e-4
 """Vertices are stored in whole tenths of a millimetre (int16: within 3.2 m of the origin)."""
 WEIGHT_UNIT = 1 / 255
 ADULTS = tuple(f"{kind}_{k}" for kind in ("female", "male", "neutral") for k in range(4))
-"""The bodies that ``any`` and ``random`` take; children and older people are named."""
+"""The bodies that ``any`` takes; children and older people are named."""
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -49,6 +49,7 @@ def humanoid_names() -> tuple[str, ...]:
     return tuple(sorted(p.stem for p in builtin_path("bodies").glob("*.npz") if p.name not in others))
 
 
+@lru_cache(maxsize=32)
 def _builtin_arrays(name: str) -> dict[str, Any]:
     return read_arrays(builtin_path(f"bodies/{name}.npz"), FILE_FORMAT)
 
@@ -60,7 +61,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
     body, outfit = split_outfit(str(name))
     if is_random(body):
         planes = to_planes, from_planes
-        return _humanoid(random_arrays(body, ADULTS, _builtin_arrays, planes), outfit)
+        return _humanoid(random_arrays(body, _builtin_arrays, planes), outfit)
     if body.endswith(".npz"):
         path = Path(body)
     elif body in humanoid_names():

@@ -1,8 +1,11 @@
-"""People by a number: a build between those of two built-in bodies, and clothes, skin and hair of their own.
+"""People by a number: a shape of their own in the space that all built-in bodies span, with clothes, skin and hair.
 
 ``random:SEED`` names such a person wherever a body has a name, also in recordings; the same seed gives the same person as long
-as the built-in bodies stay as they are. All built-in bodies have one base and arrays that blend linearly; legs are solved
-for their measures, so feet stay planted on any blend.
+as the built-in bodies and ``shape_space.toml`` stay as they are. All built-in bodies have one base and arrays that may be
+combined linearly; legs are solved for their measures, so feet stay planted on any combination.
+
+The space has the mean of all bodies and `DIRECTIONS` principal directions of shape, as SMPL-X has its shape parameters; a
+person has a standard normal number for each. Shapes that are not those of an adult, or far from all bodies, are drawn again.
 """
 
 from __future__ import annotations
@@ -10,19 +13,27 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.people.look.colors import Color, Complexion
 from h3data.bodies.people.look.dressing import Look, read_look
 from h3data.bodies.people.look.wardrobe import OUTFITS
+from h3data.builtin import builtin_path
 
 PREFIX = "random:"
-BLEND = (0.15, 0.85)
-"""Share of the second body: within these, nobody is a copy of a built-in one."""
-BLENDED = (
+SHAPE_SPACE = "bodies/shape_space.toml"
+DIRECTIONS = 10
+ADULT_AGE = (0.6, 1.0)
+"""Of a phenotype; children are below, 1 is the oldest."""
+ADULT_HEIGHT_M = (1.5, 1.95)
+LARGEST_SUM = 2.2
+"""Of the absolute weights of all bodies, which sum to 1: a combination is nearer to the built-in ones the smaller it is."""
+COMBINED = (
     "bind_rotation", "bind_position", "joint_offsets", "capsule_start", "capsule_end", "capsule_radius", "feet",
     "ankle_height", "height_m", "walk", "jog",
 )  # fmt: skip
@@ -46,41 +57,80 @@ def is_random(name: str) -> bool:
     return name.startswith(PREFIX) and name.removeprefix(PREFIX).isdecimal()
 
 
-def random_arrays(name: str, bodies: Sequence[str], read: Callable[[str], Arrays], planes: Any) -> dict[str, Any]:
+class _ShapeSpace(msgspec.Struct, frozen=True):
+    """What ``python -m bake.people.shape_space`` writes."""
+
+    bodies: tuple[str, ...]
+    directions: tuple[tuple[float, ...], ...]
+    """A row of weights of the bodies for each direction; a step of 1 is a standard deviation."""
+
+
+@lru_cache(maxsize=1)
+def _shape_space() -> _ShapeSpace:
+    return msgspec.toml.decode(builtin_path(SHAPE_SPACE).read_bytes(), type=_ShapeSpace)
+
+
+def random_arrays(name: str, read: Callable[[str], Arrays], planes: Any) -> dict[str, Any]:
     """The arrays of a baked file for ``random:SEED``.
 
     Args:
         name: The name.
-        bodies: Names of the bodies to blend, sorted.
-        read: Returns the arrays of the body with a name; called for the two that are blended.
+        read: Returns the arrays of the body with a name; called for all built-in ones.
         planes: The functions that store vertices as planes of bytes and read them: ``(to_planes, from_planes)``.
     """
     rng = np.random.Generator(np.random.Philox(int(name.removeprefix(PREFIX))))
-    one, other = (read(bodies[int(k)]) for k in rng.choice(len(bodies), 2, replace=False))
-    share = rng.uniform(*BLEND)
+    bodies = [read(body) for body in _shape_space().bodies]
+    phenotypes = [json.loads(str(body["phenotype"])) for body in bodies]
+    weights = _weights(rng, [p["age"] for p in phenotypes], [float(body["height_m"]) for body in bodies])
     to_planes, from_planes = planes
-    mixed: dict[str, Any] = dict(one)
-    for key in BLENDED:
-        mixed[key] = (1 - share) * one[key].astype(np.float64) + share * other[key].astype(np.float64)
+    nearest = int(np.argmax(weights))
+    mixed: dict[str, Any] = dict(bodies[nearest])
+    for key in COMBINED:
+        mixed[key] = _combined(weights, [body[key] for body in bodies])
     u, _, v = np.linalg.svd(mixed["bind_rotation"])
-    mixed["bind_rotation"] = u @ v  # the rotations next to the blended matrices
-    blend = (1 - share) * from_planes(one["base_delta"]) + share * from_planes(other["base_delta"])
-    mixed["base_delta"] = to_planes(np.rint(blend).astype(np.int16))
-    parents = [json.loads(str(body["phenotype"])) for body in (one, other)]
-    traits = {key: (1 - share) * parents[0][key] + share * parents[1][key] for key in ("gender", "age")}
-    looks = [read_look(str(body["look"])) for body in (one, other)]
-    mixed["phenotype"] = np.array(
-        json.dumps({k: (1 - share) * v + share * parents[1][k] for k, v in parents[0].items()})
-    )
-    mixed["look"] = np.array(_look(rng, looks, share, **traits).to_json())
+    mixed["bind_rotation"] = u @ v  # the rotations next to the combined matrices
+    shape = _combined(weights, [from_planes(body["base_delta"]) for body in bodies])
+    mixed["base_delta"] = to_planes(np.rint(shape).astype(np.int16))
+    traits = {key: _trait(weights, [p[key] for p in phenotypes]) for key in phenotypes[0]}
+    mixed["phenotype"] = np.array(json.dumps(traits))
+    skins = [read_look(str(body["look"])).complexion.skin for body in bodies]
+    skin = np.clip(_combined(weights, [np.array(skin) for skin in skins]), 40, 245)
+    look = read_look(str(bodies[nearest]["look"]))
+    mixed["look"] = np.array(_look(rng, look, skin, gender=traits["gender"], age=traits["age"]).to_json())
     mixed["name"] = np.array(name)
     return mixed
 
 
-def _look(rng: np.random.Generator, parents: Sequence[Look], share: float, *, gender: float, age: float) -> Look:
-    """Skin between that of both parents; hair, face and clothes by chance, as they go with gender and age, 0..1."""
-    one, other = (np.array(look.complexion.skin, np.float64) for look in parents)
-    skin = np.clip((1 - share) * one + share * other + rng.normal(0, 5, 3), 40, 245)
+def _weights(rng: np.random.Generator, ages: Sequence[float], heights_m: Sequence[float]) -> list[float]:
+    """How much of each built-in body somebody has; they sum to 1, and some are negative."""
+    directions = _shape_space().directions
+    while True:
+        steps = rng.standard_normal(len(directions)).tolist()
+        weights = [
+            1 / len(ages) + sum(step * row[k] for step, row in zip(steps, directions, strict=True))
+            for k in range(len(ages))
+        ]
+        age, height = (sum(w * v for w, v in zip(weights, of, strict=True)) for of in (ages, heights_m))
+        of_adult = ADULT_AGE[0] <= age <= ADULT_AGE[1] and ADULT_HEIGHT_M[0] <= height <= ADULT_HEIGHT_M[1]
+        if of_adult and sum(map(abs, weights)) <= LARGEST_SUM:
+            return weights
+
+
+def _combined(weights: Sequence[float], arrays: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
+    """Summed body by body, in this order: the same numbers on every machine."""
+    total = np.zeros(np.shape(arrays[0]))
+    for weight, array in zip(weights, arrays, strict=True):
+        total += weight * np.asarray(array, np.float64)
+    return total
+
+
+def _trait(weights: Sequence[float], values: Sequence[float]) -> float:
+    return min(max(sum(w * v for w, v in zip(weights, values, strict=True)), 0.0), 1.0)
+
+
+def _look(rng: np.random.Generator, like: Look, skin: NDArray[np.float64], *, gender: float, age: float) -> Look:
+    """About this skin; hair, face and clothes by chance, as they go with gender and age, 0..1."""
+    skin = np.clip(skin + rng.normal(0, 5, 3), 40, 245)
     dark = skin.mean() < 135  # fair hair is rare above dark skin
     hair = np.array(HAIR[rng.integers(2 if dark else len(HAIR))], np.float64)
     grey = np.clip((age - 0.74) / 0.14 + rng.normal(0, 0.15), 0, 1)
@@ -99,7 +149,7 @@ def _look(rng: np.random.Generator, parents: Sequence[Look], share: float, *, ge
     beard = not female and rng.random() < 0.3
     stubble = 0.0 if female else float(rng.uniform(0, 0.5))
     return replace(
-        parents[0],
+        like,
         complexion=Complexion(
             skin=_rgb(skin), hair=_rgb(np.clip(hair, 16, 235)), iris=IRIS[rng.integers(2 if dark else len(IRIS))],
             lips=float(rng.uniform(0.35, 0.7) if female else rng.uniform(0.15, 0.35)),

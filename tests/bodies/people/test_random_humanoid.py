@@ -1,7 +1,8 @@
-"""People by a number: between two built-in ones, the same for the same number, and as good as these."""
+"""People by a number: shapes of their own, the same for the same number, and as good as the built-in ones."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,10 @@ from hypothesis import strategies as st
 
 import h3data
 from h3data.bodies import Humanoid, load_humanoid
-from h3data.bodies.people import humanoid_file
 from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
-from h3data.bodies.people.humanoid_file import ADULTS
+from h3data.bodies.people.humanoid_file import _builtin_arrays, humanoid_names
 from h3data.bodies.people.humanoid_file import load_humanoid as load
+from h3data.bodies.people.random_humanoid import ADULT_HEIGHT_M, DIRECTIONS, _shape_space, _weights
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
 
@@ -33,24 +34,34 @@ def test_the_same_number_is_the_same_person_and_another_is_another() -> None:
     assert not np.array_equal(other.mesh.colors, first.mesh.colors)
 
 
-def test_only_the_two_bodies_that_are_blended_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    names: list[str] = []
-    read = humanoid_file.read_arrays
-    monkeypatch.setattr(humanoid_file, "read_arrays", lambda path, form: names.append(path.stem) or read(path, form))
-    load.__wrapped__("random:7")
-    assert len(set(names) - {"common"}) == len(names) == 2
-
-
 @settings(max_examples=10)
 @given(SEEDS)
-def test_a_random_person_is_between_the_built_in_ones(seed: int) -> None:
-    heights = [load_humanoid(name).height_m for name in ADULTS]
+def test_a_random_person_is_an_adult_that_walks(seed: int) -> None:
     body = load.__wrapped__(f"random:{seed}")
-    assert min(heights) <= body.height_m <= max(heights)
+    assert ADULT_HEIGHT_M[0] <= body.height_m <= ADULT_HEIGHT_M[1]
     assert np.abs(np.ptp(body.mesh.vertices[:, 1]) - body.height_m) < 0.12  # hair and soles
     rotation = np.linalg.inv(body.inverse_bind)[:, :3, :3]
     np.testing.assert_allclose(rotation @ rotation.transpose(0, 2, 1), np.tile(np.eye(3), (55, 1, 1)), atol=1e-6)
     assert planted_creep_mm(body) < 0.3
+    assert min(capsule.radius for capsule in body.capsules) > 0.02
+
+
+def test_shapes_are_no_blends_of_two_bodies() -> None:
+    for seed in range(8):
+        rng = np.random.Generator(np.random.Philox(seed))
+        ages = [float(json.loads(str(_builtin_arrays(name)["phenotype"]))["age"]) for name in humanoid_names()]
+        weights = _weights(rng, ages, [load_humanoid(name).height_m for name in humanoid_names()])
+        assert sum(weights) == pytest.approx(1, abs=1e-4)  # rounded directions
+        assert sum(abs(w) > 0.02 for w in weights) > 5
+
+
+def test_directions_are_orthogonal_and_a_step_is_a_standard_deviation() -> None:
+    space = _shape_space()
+    assert space.bodies == humanoid_names()
+    rows = np.array(space.directions)
+    assert rows.shape == (DIRECTIONS, len(space.bodies))
+    np.testing.assert_allclose(rows.sum(axis=1), 0, atol=1e-4)
+    np.testing.assert_allclose(len(space.bodies) * rows @ rows.T, np.eye(DIRECTIONS), atol=1e-4)
 
 
 def planted_creep_mm(body: Humanoid, speed: float = 1.3) -> float:
@@ -67,7 +78,7 @@ def planted_creep_mm(body: Humanoid, speed: float = 1.3) -> float:
 
 
 def test_the_skin_follows_the_skeleton() -> None:
-    """Skinned in the posture in which it was baked, a blend gives its own vertices back."""
+    """Skinned in the posture in which it was baked, a random person gives its own vertices back."""
     body = load_humanoid("random:11")
     vertices = body.skin(np.linalg.inv(body.inverse_bind)[None], lod=False)[0]
     np.testing.assert_allclose(vertices, body.mesh.vertices, atol=2e-4)
