@@ -99,6 +99,10 @@ class Failed(Exception):
     """A game could not begin."""
 
 
+class Stuck(Failed):
+    """A game cannot begin now, but it will as soon as it can; the text is for players."""
+
+
 def runner_of(app: web.Application) -> web.AppRunner:
     """What serves an application, and closes connections on which nothing happens."""
     return web.AppRunner(app, access_log=None, shutdown_timeout=0.5, keepalive_timeout=IDLE_S, lingering_time=LINGER_S)

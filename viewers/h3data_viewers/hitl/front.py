@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import hashlib
 import ipaddress
+import math
+import sqlite3
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -21,6 +23,7 @@ from h3data_viewers.hitl.connections import (
     Connection,
     Failed,
     Live,
+    Stuck,
     pong,
     require_known_host,
     require_own_origin,
@@ -38,6 +41,9 @@ CAN_S = 0.09
 asks every 120 ms."""
 MOST_BUSY = 0.7
 """Share of a core that a worker's games may take: beyond it a further one would slow down all others."""
+AGAIN_S, SAY_S = 1.0, 60.0
+"""What cannot be written to the database is tried again so soon, and the operator is told so often."""
+NO_ROOM = "The server's disk is full. Nothing that you have done before is lost; try again in a minute."
 MOST_SPECTATORS = 20
 MOST_AHEAD = 4
 """Episodes that are prepared while others are played."""
@@ -110,6 +116,12 @@ class Front:
         self.seats_per_address, self.behind_proxy, self.hosts = seats_per_address, behind_proxy, hosts
         self._addresses: dict[str, set[str]] = {}
         """Seats by address; in memory only: addresses of people are not stored."""
+        self._stuck: dict[str, str] = {}
+        """Games that wait for space on the disk, with a sentence for their players."""
+        self._begun_before = set(self.journal.games)
+        """Games that other processes have begun, which may have come to their end."""
+        self._said_full = -math.inf
+        """When the operator was told last that the database cannot be written."""
         self._loading: dict[str, float] = {}
         """When seats were given to browsers that have not connected since, by the clock."""
         self._gone: dict[str, float] = {}
@@ -123,7 +135,9 @@ class Front:
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
         """What aiohttp serves."""
-        app = web.Application(client_max_size=POST_BYTES, middlewares=[strict, require_known_host(self.hosts)])
+        app = web.Application(
+            client_max_size=POST_BYTES, middlewares=[strict, require_known_host(self.hosts), self._with_room]
+        )
         for prefix in ("", "/s/{key}"):
             app.router.add_get(prefix + "/", self.page)
             app.router.add_post(prefix + "/api/session", self.sit)
@@ -185,11 +199,17 @@ class Front:
             self._note_address(request, seat)
         live = self._game_for(seat)
         self._loading[seat.sid] = self.clock()
+        if live.game.key in self._stuck and not live.begun.done():
+            raise web.HTTPServiceUnavailable(text=self._stuck[live.game.key])
         try:
             begun = await asyncio.wait_for(asyncio.shield(live.begun), BEGIN_S)
         except TimeoutError:
             raise web.HTTPServiceUnavailable(text="The home could not be set up in time. Try again.") from None
+        except Stuck as fault:
+            raise web.HTTPServiceUnavailable(text=str(fault)) from None
         except Failed as fault:
+            if live.game.over != "failed":  # the server was killed before it had noted the end
+                raise web.HTTPServiceUnavailable(text="This episode is over.") from None
             raise web.HTTPInternalServerError(text=f"The session could not begin: {fault}") from None
         manifest = {**begun["manifest"], "me": self._agent(seat, begun)}
         body = {"manifest": manifest, "glb": begun["glb"], "socket": f"play/{seat.sid}"}
@@ -341,7 +361,8 @@ class Front:
 
     def _send_order(self, live: Live, worker: WorkerProcess, order: GameOrder) -> None:
         made = self.preparer.made(order)
-        order = msgspec.structs.replace(order, facts=None if made is None else made["facts"])
+        resumes = live.game.key in self._begun_before
+        order = msgspec.structs.replace(order, facts=None if made is None else made["facts"], resumes=resumes)
         worker.send("begin", live.game.key, msgspec.to_builtins(order))
 
     def _order(self, game: Game) -> GameOrder:
@@ -354,7 +375,28 @@ class Front:
 
     # --- from workers -------------------------------------------------------------------------------------------------
     def heard(self, worker: WorkerProcess, kind: str, key: str, body: Any) -> None:
-        """A letter of a worker about a game."""
+        """A letter of a worker about a game. One that cannot be written down now is read again."""
+        try:
+            self._hear(worker, kind, key, body)
+        except sqlite3.OperationalError as fault:
+            self._say_full(fault)
+            asyncio.get_running_loop().call_later(AGAIN_S, self.heard, worker, kind, key, body)
+
+    def _say_full(self, fault: sqlite3.OperationalError) -> None:
+        if self.clock() - self._said_full > SAY_S:
+            self._said_full = self.clock()
+            self.report({"disk": {"is_full": True, "why": str(fault)}})
+
+    @web.middleware
+    async def _with_room(self, request: web.Request, handler: Any) -> web.StreamResponse:
+        """What cannot be written down has not happened (`Journal`), and whoever asked for it is told so."""
+        try:
+            return await handler(request)
+        except sqlite3.OperationalError as fault:
+            self._say_full(fault)
+            raise web.HTTPServiceUnavailable(text=NO_ROOM) from None
+
+    def _hear(self, worker: WorkerProcess, kind: str, key: str, body: Any) -> None:
         if kind == "prepared":
             self.preparer.heard(key, body)
             return
@@ -370,7 +412,12 @@ class Front:
             for connection in live.sockets.values():
                 if connection.agent == body[0]:
                     connection.tell(body[1])
+        elif kind == "stuck":
+            self._waits(live, body)
+        elif kind == "free":
+            self._waits_no_more(key)
         elif kind == "begun":
+            self._waits_no_more(key)
             made = self.preparer.made(self._order(live.game))
             assert made is not None, "it comes before"
             live.begun.set_result({**made, **body})
@@ -379,9 +426,24 @@ class Front:
         elif kind == "over":
             self._over(live, body)
 
+    def _waits(self, live: Live, body: dict[str, str]) -> None:
+        """The disk has no room for what a game has played, or for its beginning."""
+        if not self._stuck:
+            self.report({"disk": {"is_full": True, "why": body["why"]}})
+        self._stuck[live.game.key] = body["text"]
+        if not live.begun.done():
+            live.begun.set_exception(Stuck(body["text"]))
+            live.begun.exception()  # nobody may be waiting for it
+            live.begun = asyncio.get_running_loop().create_future()
+
+    def _waits_no_more(self, key: str) -> None:
+        if self._stuck.pop(key, None) is not None and not self._stuck:
+            self.report({"disk": {"is_full": False, "why": ""}})
+
     def _over(self, live: Live, over: dict[str, Any]) -> None:
         if live.game.over:
             return
+        self._waits_no_more(live.game.key)
         self.journal.end(live.game, over["ended"])
         live.worker.games.discard(live.game.key)
         is_last = self._is_last()
@@ -412,6 +474,8 @@ class Front:
         lives = [live for live in self.lives.values() if live.worker is worker]
         loop = asyncio.get_running_loop()
         for live in lives:
+            self._begun_before.add(live.game.key)
+            self._stuck.pop(live.game.key, None)  # the next worker says so again
             if live.begun.done():
                 live.begun = loop.create_future()
         self._moving = asyncio.create_task(self._move(lives))

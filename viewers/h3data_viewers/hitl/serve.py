@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import os
 import signal
+import sqlite3
 import ssl
 import sys
 from typing import Any
@@ -158,6 +159,9 @@ def main() -> int:
         return asyncio.run(serve(options, report))
     except Refused as fault:
         report({"refused": str(fault)})
+        return 2
+    except sqlite3.OperationalError as fault:
+        report({"refused": f"The folder of the session cannot be written ({fault}). Is its disk full?"})
         return 2
     except KeyboardInterrupt:
         return 130
