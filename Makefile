@@ -2,8 +2,14 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
+INSTALLED := $(VENV)/.installed
+DEV := $(VENV)/.dev
 GROUP ?=
+# what an NVIDIA GPU shows on Linux and in WSL; empty where there is none
+GPU ?= $(wildcard /dev/nvidiactl /dev/dxg)
+CPU_TORCH := --index-url https://download.pytorch.org/whl/cpu
+SLEEP ?= sleep 15
 # a test that hangs fails after a quarter of an hour, and says where
 PYTEST := $(BIN)/python -m pytest --timeout 900
 # worksteal: the tests of a file stay in one process, with its homes and recordings, and nobody waits at the end; one thread
@@ -12,39 +18,63 @@ PYTEST_2 := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTEST) -n 2 --dist works
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo warm test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel sbom clean
+.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel sbom clean
 
-setup: $(STAMP)
+setup: $(INSTALLED)  ## .venv with what h3data needs, and no more
 
-$(STAMP): pyproject.toml constraints.txt
+$(INSTALLED): pyproject.toml constraints.txt
+	@echo "Installing h3data into $(VENV): 1.5 GB on disk, one to five minutes."
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@$(MAKE) --no-print-directory torch-for-cpu
+	$(PIP) -c constraints.txt -e .
 	touch $@
 
-demo: setup  ## simulate, record, render again, measure: out/demo/
-	$(BIN)/h3data demo -o out/demo --force
+# The torch of PyPI for Linux brings gigabytes of CUDA. pip takes a CPU build by itself where one of the same version is at hand.
+TORCH := $(shell grep '^torch==' constraints.txt)
+IN ?= $(BIN)/python
+.PHONY: torch-for-cpu
+torch-for-cpu:
+	@if [ "`uname -s`" != Linux ] || [ -n "$(GPU)" ] || $(IN) -c "import torch" 2>/dev/null \
+			|| $(IN) -m pip index versions torch 2>/dev/null | grep -q "$(subst torch==,,$(TORCH))+cpu"; then exit 0; fi; \
+		echo "No NVIDIA GPU here: installing the CPU build of torch (0.2 GB) instead of that with CUDA (3 GB, 7 GB on disk)."; \
+		$(IN) -m pip install --disable-pip-version-check $(TORCH) $(CPU_TORCH) || { \
+			echo "It cannot be had. In 15 s pip installs torch with CUDA, 3 GB; Ctrl-C stops it."; $(SLEEP); }
+
+dev: $(DEV)  ## .venv with everything that tests and checks need as well
+
+$(DEV): $(INSTALLED)
+	@echo "Installing what tests and checks need into $(VENV): another 1 GB, one to five minutes."
+	$(PIP) -c constraints.txt -e ".[dev]"
+	touch $@
 
 # kernels of navmeshes, of Habitat's sliding, of pictures for a GPU and the like, which `h3data warmup` leaves to who needs them
 KERNEL_TESTS := tests/habitat/navmesh/test_pathfinder.py tests/sim/motion/test_habitat_slide.py tests/sim/torch/test_cameras.py \
 	tests/pipelines/test_scenes_command.py::test_a_scene_without_floor_does_not_stop_the_others tests/sim/agents/test_oracle.py \
 	tests/scene/freespace/test_free_space.py tests/viewers/hitl/test_wire.py tests/viewers/hitl/test_apps.py
 
-warm: setup  ## kernels and tests compiled ahead, so that two processes of tests do not wait for each other: in a clean checkout
+kernels: dev  ## compiles kernels whose code has changed into pipelines/h3data_kernels, and builds its wheel
+	$(BIN)/python pipelines/h3data_kernels/build.py
+	$(MAKE) --no-print-directory kernels-wheel
+
+check-kernels: dev  ## nothing is compiled in a clean copy: the demo, README's commands, an environment; with and without, the same bytes
+	$(PYTEST) -m slow tests/product/test_shipped_kernels.py
+
+warm: dev  ## kernels and tests compiled ahead, so that two processes of tests do not wait for each other: in a clean checkout
 	$(BIN)/h3data warmup
 	$(PYTEST) --collect-only -qq >/dev/null
 	$(PYTEST_2) $(KERNEL_TESTS)
 
-test: setup
+test: dev
 	$(PYTEST_2)
 
-test-all: setup  ## the slow ones too, and more examples of each law
+test-all: dev  ## the slow ones too, and more examples of each law
 	HYPOTHESIS_PROFILE=full $(PYTEST_2) -m "not gpu and not bench"
 
-test-browser: setup  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
+test-browser: dev  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
 	$(PYTEST) -m browser -rs
 	$(PYTEST) -m slow -rs tests/viewers/hitl
 
-test-ray: setup  ## jobs on a Ray cluster of four nodes on this machine, some of which are killed
+test-ray: dev  ## jobs on a Ray cluster of four nodes on this machine, some of which are killed
 	$(PYTEST) -m slow -rs tests/pipelines/test_ray.py
 
 LOWEST := .venv-lowest
@@ -53,6 +83,7 @@ LOWEST_TESTS := tests/recording tests/mesh tests/scene tests/stats tests/export 
 	tests/pipelines/test_parsing.py tests/pipelines/test_sql.py tests/pipelines/test_sync.py tests/viewers/test_rerun_view.py
 test-lowest:  ## the oldest versions that pyproject.toml allows, of all but torch (constraints.txt); an environment of its own
 	test -x $(LOWEST)/bin/python || $(PYTHON) -m venv $(LOWEST)
+	@$(MAKE) --no-print-directory torch-for-cpu IN=$(LOWEST)/bin/python
 	$(LOWEST)/bin/python -m pip install -q -c constraints.txt torch uv pytest hypothesis hatchling editables
 	grep '^torch==' constraints.txt > $(LOWEST)/overrides.txt
 	$(LOWEST)/bin/uv pip install -q --python $(LOWEST)/bin/python --resolution lowest-direct \
@@ -60,12 +91,12 @@ test-lowest:  ## the oldest versions that pyproject.toml allows, of all but torc
 	$(LOWEST)/bin/python -m pip install -q --no-deps --no-build-isolation -e .
 	NUMBA_CACHE_DIR=$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest $(LOWEST_TESTS)
 
-docs: setup  ## the documentation site, offline, into build/docs
+docs: dev  ## the documentation site, offline, into build/docs
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
 	@echo "build/docs/index.html"
 
-check-docs: setup  ## README, docs and notebooks run as written, on small data (5 minutes)
+check-docs: dev  ## README, docs and notebooks run as written, on small data (5 minutes)
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
 	$(PYTEST_2) -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
 
@@ -75,6 +106,7 @@ LEROBOT_CAMERAS := --camera robot_arm --camera human_head
 LEROBOT_DATASETS := out/lerobot/ds=out/lerobot/pictures out/lerobot/export=out/lerobot/pictures out/lerobot/rearrange
 check-lerobot: setup  ## datasets and exports open with lerobot's own loader, down to decoded frames; an environment of its own
 	test -x $(LEROBOT)/bin/python || $(PYTHON) -m venv $(LEROBOT)
+	@$(MAKE) --no-print-directory torch-for-cpu IN=$(LEROBOT)/bin/python
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 pandas pyarrow pyyaml
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check datasets==4.8.5 huggingface-hub==0.35.3
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r tests/export/lerobot_loader/requirements.txt
@@ -109,26 +141,33 @@ check-web:  ## the pages' types and tests, and whether the committed builds are 
 	{ diff -r $(WEB)/dist out/web && diff $(REPLAY)/replay.js out/replay/replay.js && diff $(REPLAY)/replay.css out/replay/replay.css; } \
 		|| { echo "A committed page is not the one that its sources give: run make web and commit."; exit 1; }
 
-check: setup  ## format, lint, types, layers, circles
+check: dev  ## format, lint, types, layers, circles
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 	$(PYTEST) tests/test_structure.py
 
-format: setup
+format: dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: setup  ## all benchmarks, or GROUP=render
+bench: dev  ## all benchmarks, or GROUP=render
 	$(BIN)/python -m benchmarks $(GROUP)
 
-wheel: setup  ## wheel and sdist, the same bytes for the same commit
-	SOURCE_DATE_EPOCH=`git log -1 --format=%ct 2>/dev/null || echo 1700000000` $(BIN)/python -m build --no-isolation
+EPOCH := SOURCE_DATE_EPOCH=`git log -1 --format=%ct 2>/dev/null || echo 1700000000`
+wheel: dev  ## wheels of h3data and of its kernels, and sdist, the same bytes for the same commit
+	$(EPOCH) $(BIN)/python -m build --no-isolation
+	$(MAKE) --no-print-directory kernels-wheel
+
+.PHONY: kernels-wheel
+kernels-wheel:
+	$(EPOCH) $(BIN)/python -m build --no-isolation --wheel --outdir dist pipelines/h3data_kernels
 
 SBOM := build/sbom
 sbom: wheel  ## what `pip install h3data` brings, as CycloneDX: dist/h3data.cdx.json
 	rm -rf $(SBOM) && $(PYTHON) -m venv $(SBOM)/env && $(PYTHON) -m venv $(SBOM)/tool
+	@$(MAKE) --no-print-directory torch-for-cpu IN=$(SBOM)/env/bin/python
 	$(SBOM)/env/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt dist/*.whl
 	$(SBOM)/tool/bin/python -m pip install -q --disable-pip-version-check "cyclonedx-bom>=7.5"
 	$(SBOM)/tool/bin/cyclonedx-py environment --pyproject pyproject.toml --mc-type library --output-reproducible \

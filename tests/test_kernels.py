@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import ast
+import collections
 import gc
+import importlib
+import inspect
+import lzma
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
+import numba
+import numba.extending
 import numpy as np
 import pytest
+from numba import types
 from numba.core.runtime import _nrt_python  # type: ignore[attr-defined]
 from numba.core.runtime.nrt import rtsys
 
 from h3data import kernels
+from h3data.kernels import decorators, digests, shipped
 from tests.paths import ROOT
 
 KERNEL = """
@@ -34,8 +44,8 @@ def double(x):
     return {factor} * x
 """
 SCRIPT = """
-from h3data import kernels
-kernels.OURS = ("h3data", "stale_kernel", "stale_part", "stale_constants")
+from h3data.kernels import digests
+digests.OURS = ("h3data", "stale_kernel", "stale_part", "stale_constants")
 import stale_kernel
 print(stale_kernel.scaled(1.0), sum(stale_kernel.scaled.stats.cache_hits.values()))
 """
@@ -83,13 +93,13 @@ def test_the_renderer_stamps_cover_the_intrinsics():
         while waiting:
             name = waiting.pop()
             seen.add(name)
-            waiting |= set(kernels._source(name)[1]) - seen
+            waiting |= set(digests._source(name)[1]) - seen
         assert inside <= seen
 
 
 def test_nothing_is_cached_past_the_decorator():
     for path in [*(ROOT / "h3data").rglob("*.py"), *(ROOT / "sim_kinematic").rglob("*.py")]:
-        if path.name == "kernels.py" and path.parent.name == "h3data":
+        if path == ROOT / "h3data" / "kernels" / "decorators.py":
             continue
         text = path.read_text(encoding="utf-8")
         for node in ast.walk(ast.parse(text)) if "cache" in text else ():
@@ -103,13 +113,14 @@ def test_kernels_work_where_no_cache_can_be_written(monkeypatch):
     def njit(*, cache=False, **options):
         if cache:
             raise RuntimeError("cannot cache function 'f': no locator available")
-        return lambda function: function
+        return numba.njit(**options)
 
-    monkeypatch.setattr(kernels, "njit", njit)
-    kernels._warn_once.cache_clear()
+    monkeypatch.setattr(decorators, "njit", njit)
+    decorators._warn_once.cache_clear()
+    double, triple = kernels.kernel()(lambda x: 2 * x), kernels.kernel()(lambda x: 3 * x)
     with pytest.warns(RuntimeWarning, match="NUMBA_CACHE_DIR"):
-        assert kernels.kernel()(abs)(-2) == 2
-    assert kernels.kernel()(abs)(-3) == 3, "and it says so only once"
+        assert double(2) == 4
+    assert triple(3) == 9, "and it says so only once"
 
 
 def test_a_part_of_a_kernel_refuses_to_be_called_from_python():
@@ -163,8 +174,233 @@ def test_garbage_is_collected_again_after_compiling():
     def grown(x):
         return x + 2
 
-    with kernels._garbage_kept():
+    with decorators._garbage_kept():
         enabled.append(gc.isenabled())
     assert grown(1) == 3
     assert enabled == [False]
     assert gc.isenabled()
+
+
+# --- kernels that come compiled -----------------------------------------------------------------------------------------
+SHIPPED = """
+from h3data.kernels import kernel, kernel_part
+{imports}
+SIZE = {size}
+
+@kernel_part()
+def grown(x):
+    {comment}
+    return x + {step}
+
+@kernel()
+def many(x):
+    return SIZE * grown(x)
+"""
+USE = "from h3data.sample import many; print(many(2.0), many(2), sum(many.stats.cache_misses.values()))"
+
+
+class Site:
+    """A folder of installed packages: a copy of h3data's kernels, a module with one of its own, and the package beside."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for name in ("__init__", "progress", "files", "errors", "terminal"):
+            (folder / "h3data").mkdir(parents=True, exist_ok=True)
+            text = "" if name == "__init__" else (ROOT / "h3data" / f"{name}.py").read_text()
+            (folder / "h3data" / f"{name}.py").write_text(text)
+        shutil.copytree(ROOT / "h3data" / "kernels", folder / "h3data" / "kernels")
+        self.kernels = folder / shipped.PACKAGE / shipped.folder_name()
+        self.kernels.mkdir(parents=True)
+
+    def run(self, *, size=3, step=1, comment="# nothing", imports="", record=False, options=(), **settings) -> str:
+        text = SHIPPED.format(size=size, step=step, comment=comment, imports=imports)
+        (self.folder / "h3data" / "sample.py").write_text(text)
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+        environment |= {"PYTHONPATH": str(self.folder), "NUMBA_CACHE_DIR": str(self.folder / "cache")}
+        environment |= {"H3DATA_QUIET": "1", "PYTHONDONTWRITEBYTECODE": "1", **settings}
+        if record:
+            environment |= {
+                "NUMBA_CPU_NAME": shipped.LEVEL,
+                "NUMBA_CPU_FEATURES": "",
+                shipped.RECORD: str(self.kernels),
+            }
+        shutil.rmtree(self.folder / "cache", ignore_errors=True)
+        command = [sys.executable, *options, "-c", USE]
+        done = subprocess.run(command, cwd=self.folder, env=environment, capture_output=True, text=True, check=False)
+        return done.stdout.strip() or done.stderr
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
+    if not shipped.folder_name().endswith(shipped.LEVEL):
+        pytest.skip("kernels are shipped for x86-64")
+    made = Site(tmp_path_factory.mktemp("site"))
+    assert made.run(record=True) == "9.0 9 2"
+    assert len(list(made.kernels.iterdir())) == 2
+    return made
+
+
+def test_shipped_kernels_are_not_compiled(site: Site):
+    assert site.run(comment='"""Words that change nothing."""', imports="import math") == "9.0 9 0"
+
+
+@pytest.mark.slow
+def test_shipped_kernels_of_other_code_are_compiled(site: Site):
+    assert site.run(step=2) == "12.0 12 2"
+    assert site.run(size=4) == "12.0 12 2"
+    assert site.run(NUMBA_BOUNDSCHECK="1") == "9.0 9 2"
+    assert site.run(NUMBA_CPU_NAME="host") == "9.0 9 2"
+    assert site.run(options=["-O"]) == "9.0 9 2"
+
+
+@pytest.mark.slow
+def test_damaged_kernels_are_compiled(site: Site):
+    whole = {path: path.read_bytes() for path in site.kernels.iterdir()}
+    try:
+        for damage in (lambda data: b"", lambda data: data[:-60], lambda data: lzma.compress(b"\x80\x05N.")):
+            for path, data in whole.items():
+                path.write_bytes(damage(data))
+            assert site.run() == "9.0 9 2"
+    finally:
+        for path, data in whole.items():
+            path.write_bytes(data)
+
+
+def test_a_processor_without_the_features_gets_none(monkeypatch):
+    shipped._found.cache_clear()
+    monkeypatch.setattr(shipped, "LEVEL_FEATURES", ("avx2", "a_feature_of_the_future"))
+    for name in [name for name in os.environ if name.startswith("NUMBA_")]:
+        monkeypatch.delenv(name)
+    try:
+        assert shipped.folder() is None
+        assert "it lacks a_feature_of_the_future" in shipped.missing() or "h3data-kernels" in shipped.missing()
+    finally:
+        shipped._found.cache_clear()
+
+
+def test_only_what_is_beside_h3data_is_read(tmp_path: Path, monkeypatch):
+    """Files of compiled kernels are pickles: a folder of that name elsewhere must not be opened."""
+    (tmp_path / shipped.PACKAGE / shipped.folder_name()).mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    shipped._found.cache_clear()
+    try:
+        assert tmp_path not in (shipped.folder() or ROOT).parents
+    finally:
+        shipped._found.cache_clear()
+
+
+def test_types_have_digests_that_tell_them_apart():
+    class Point(NamedTuple):
+        x: float
+        y: float
+
+    turned = collections.namedtuple("Point", ["y", "x"])
+    turned.__qualname__, turned.__module__ = Point.__qualname__, Point.__module__
+    kinds = [
+        types.NamedUniTuple(types.float64, 2, Point),
+        types.NamedUniTuple(types.float64, 2, turned),  # numba prints both alike
+        types.UniTuple(types.float64, 2),
+        types.Array(types.float64, 2, "C"),
+        types.Array(types.float64, 2, "A"),
+        types.Array(types.float64, 2, "C", readonly=True),
+        types.Array(types.float64, 2, "C", aligned=False),
+        types.Omitted(1.0),
+        types.Omitted(2.0),
+        types.int64,
+        types.boolean,
+        types.none,
+    ]
+    found = {digests.types_digest([kind]) for kind in kinds}
+    assert len(found) == len(kinds)
+    with pytest.raises(digests.UnknownError):
+        digests.types_digest([types.ListType(types.int64)])
+
+
+def test_a_kernel_that_reads_something_strange_is_not_shipped():
+    strange = object()
+
+    @kernels.kernel()
+    def reads_it(x):
+        return x if strange is None else -x
+
+    with pytest.raises(digests.UnknownError):
+        digests.code_digest(reads_it)
+    assert shipped.file_name(reads_it, (types.int64,)) is None
+
+
+def test_the_package_of_kernels_is_for_the_numba_that_setup_installs():
+    """Otherwise no kernel of it would be used, and nothing would say so: run `make kernels` after a change of version."""
+    package = ROOT / "pipelines" / shipped.PACKAGE
+    pinned = next(line for line in (ROOT / "constraints.txt").read_text().splitlines() if line.startswith("numba=="))
+    assert f'dependencies = ["{pinned}"]' in (package / "pyproject.toml").read_text()
+    folders = {path.parent.name for path in package.glob("*/*.nbc.xz")}
+    assert {name.split("-")[2] for name in folders} <= {pinned.replace("==", "")}
+
+
+def test_shipped_kernels_belong_to_this_code():
+    """Where this fails, the code of kernels has changed since they were compiled: run `make kernels` and commit."""
+    folder = ROOT / "pipelines" / shipped.PACKAGE / shipped.folder_name()
+    if not folder.is_dir():
+        pytest.skip(f"no kernels are shipped for {shipped.folder_name()}")
+    stamps = {path.name.rsplit("-", 1)[0] for path in folder.iterdir()}
+    for stamp in stamps:
+        importlib.import_module(stamp.rsplit("-", 1)[0].rpartition(".")[0])
+    now = {shipped.code_stamp(kernel) for kernel in decorators._kernels if kernel.__module__.startswith(digests.OURS)}
+    assert stamps <= now, f"run make kernels; stale: {sorted(stamps - now)}"
+
+
+# --- numba --------------------------------------------------------------------------------------------------------------
+def test_numba_still_has_what_kernels_take_from_inside_it():
+    """Nothing of this is promised. pyproject.toml bounds numba's version; a new one is allowed once this holds for it."""
+    from numba import _dynfunc
+    from numba.core import caching, codegen, compiler, dispatcher, typed_passes
+    from numba.extending import _Intrinsic
+    from numba.misc.appdirs import AppDirs
+
+    def arguments(function):
+        return [name for name in inspect.signature(function).parameters if name != "self"]
+
+    expected = {
+        codegen.JITCodeLibrary: ["_optimize_functions", "_optimize_final_module", "_finalize_final_module"],
+        codegen.CPUCodeLibrary: ["_finalize_dynamic_globals", "_ensure_finalized"],
+        typed_passes.NativeLowering: ["run_pass"],
+        compiler.Compiler: ["define_pipelines"],
+        dispatcher.Dispatcher: ["compile", "add_overload", "get_call_template"],
+        caching.IndexDataCacheFile: ["_load_index", "_data_path", "load"],
+        caching.FunctionCache: ["_index_key", "load_overload"],
+        caching._CacheLocator: ["get_suitable_cache_subpath"],
+        AppDirs: ["user_cache_dir"],
+    }
+    missing = [
+        f"{owner.__name__}.{name}" for owner, names in expected.items() for name in names if not hasattr(owner, name)
+    ]
+    assert not missing, f"numba {numba.__version__} has no {', '.join(missing)} any more"
+    signatures = {
+        "CompileResult._rebuild": (compiler.CompileResult._rebuild, ["target_context", "libdata", "fndesc", "env", "signature",
+                                   "objectmode", "lifted", "typeann", "reload_init", "referenced_envs"]),
+        "Dispatcher.compile": (dispatcher.Dispatcher.compile, ["sig"]),
+        "FunctionCache._index_key": (caching.FunctionCache._index_key, ["sig", "codegen"]),
+        "JITCodeLibrary._optimize_functions": (codegen.JITCodeLibrary._optimize_functions, ["ll_module"]),
+        "NativeLowering.run_pass": (typed_passes.NativeLowering.run_pass, ["state"]),
+    }  # fmt: skip
+    changed = {name: arguments(f) for name, (f, known) in signatures.items() if arguments(f) != known}
+    assert not changed, f"numba {numba.__version__} has changed the arguments of {changed}"
+    assert callable(_dynfunc.make_function)
+
+    @kernels.kernel()
+    def sample(x):
+        return x
+
+    assert sample(1) == 1
+    assert {"nogil", "no_cfunc_wrapper"} <= set(sample.targetoptions)
+    assert hasattr(sample._cache._cache_file, "_source_stamp")
+    assert isinstance(sample._cache_hits, dict)
+    assert hasattr(sample, "_cache_misses")
+
+    @numba.extending.intrinsic
+    def emitted(context, x):
+        return x(x), lambda context, builder, signature, arguments: arguments[0]
+
+    assert isinstance(emitted, _Intrinsic)
+    assert (emitted.__module__, emitted.__name__) == (__name__, "emitted")

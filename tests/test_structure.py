@@ -15,6 +15,7 @@ PACKAGES = {
     "h3data_viewers": ROOT / "viewers" / "h3data_viewers",
     "h3data_training": ROOT / "pipelines" / "h3data_training",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
+    "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
     "bake": ROOT / "pipelines" / "bake",
 }
 BLOCKS = (ast.stmt, ast.ExceptHandler, ast.match_case)

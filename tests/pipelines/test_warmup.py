@@ -77,9 +77,9 @@ def test_the_announcement_can_be_silenced(environment: dict[str, str]) -> None:
 def test_a_killed_process_leaves_no_lock(environment: dict[str, str]) -> None:
     killed = COMPILE.replace(
         "doubled(1.0)",
-        "from h3data import kernels; from pathlib import Path; "
+        "from h3data.kernels import decorators; from pathlib import Path; "
         + (
-            "c = doubled._cache._cache_file._index_path; kernels._locked(Path(c + '.lock')).__enter__(); "
+            "c = doubled._cache._cache_file._index_path; decorators._locked(Path(c + '.lock')).__enter__(); "
             "import os; os.kill(os.getpid(), 9)"
         ),
     )

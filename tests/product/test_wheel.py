@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from h3data.kernels import shipped
 from tests.paths import ROOT
 
 OPENS = """
@@ -35,9 +36,17 @@ raise SystemExit(cli.main(['generate', 'social_nav', '--scenes', 'h3-homes/test'
 def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path: Path) -> None:
     build = [sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", str(tmp_path / "dist"), str(ROOT)]
     subprocess.run(build, check=True, capture_output=True)
-    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    (wheel,) = (tmp_path / "dist").glob("h3data-*.whl")
     assert wheel.stat().st_size < 8_200_000  # 3.2 MB of it are trained policies
     site = tmp_path / "site"
+    if script is GENERATES:  # as pip leaves both wheels
+        subprocess.run([*build[:-1], str(ROOT / "pipelines" / shipped.PACKAGE)], check=True, capture_output=True)
+        (kernels,) = (tmp_path / "dist").glob("h3data_kernels-*.whl")
+        assert kernels.stat().st_size < 5_000_000
+        with zipfile.ZipFile(kernels) as archive:
+            assert {name.partition("/")[0].partition("-")[0] for name in archive.namelist()} == {shipped.PACKAGE}
+            assert not any(name.endswith(("build.py", ".toml")) for name in archive.namelist())
+            archive.extractall(site)
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
         archive.extractall(site)
@@ -64,10 +73,12 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         f"assert h3data.__file__.startswith({str(site)!r}), h3data.__file__\n"
         f"assert h3data.builtin.builtin_root().name == '_datasets'\n{script}"
     )
-    environment = {**os.environ, "PYTHONPATH": str(site)}
+    environment = {**os.environ, "PYTHONPATH": str(site), "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert says in done.stdout
+    if (ROOT / "pipelines" / shipped.PACKAGE / shipped.folder_name()).is_dir():
+        assert not list((tmp_path / "numba").rglob("*.nbc")), "nothing is compiled"
 
 
 @pytest.mark.slow

@@ -26,6 +26,7 @@ from h3data_pipelines.hub.pushing import Push
 from h3data_pipelines.hub.syncing import Sync
 from h3data_pipelines.learning.training import Train
 from h3data_pipelines.machine.bench import Bench
+from h3data_pipelines.machine.caches import CACHE
 from h3data_pipelines.machine.completion import Completion
 from h3data_pipelines.machine.doctor import Doctor
 from h3data_pipelines.machine.planning import Plan
@@ -63,6 +64,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "validate": Validate,
     "recover": Recover,
     "doctor": Doctor,
+    "cache": CACHE,
     "warmup": Warmup,
     "bench": Bench,
     "plan": Plan,

@@ -5,12 +5,20 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
+import shutil
+import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from h3data.files import cache_folder, size_text
 from h3data_pipelines.command import JsonFlag, Outcome
+from h3data_pipelines.machine.caches import cache_lines, find_caches
+
+CPU_TORCH = "pip install --force-reinstall torch --index-url https://download.pytorch.org/whl/cpu"
 
 _PACKAGES = (
     "numpy",
@@ -29,12 +37,15 @@ _PACKAGES = (
     "tyro",
 )
 
+_OPTIONAL = ("compiled kernels", "browser (h3data play)", "GPU (torch CUDA)", "Hugging Face Hub")
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "microsoft-edge", "firefox")
+
 
 @dataclass(frozen=True)
 class Doctor:
-    """Show what works on this machine.
+    """Show what works on this machine, and what h3data keeps on it.
 
-    Renderers, video, collision, the GPU, the Hugging Face Hub, and versions of packages.
+    Renderers, video codecs, collision, browsers, the GPU, the Hugging Face Hub; versions of packages, free disk space, caches.
 
     Examples:
         h3data doctor
@@ -46,13 +57,17 @@ class Doctor:
     def run(self) -> Outcome:
         checks = {
             "CPU renderer (numba)": _cpu_renderer,
+            "compiled kernels": _kernels,
             "collision (FCL)": _collision,
-            "video (H.264 by PyAV)": _video,
+            "video (PyAV, FFmpeg)": _video,
             "Rerun files": _rerun,
             "built-in bodies and robots": _builtin,
+            "browser (h3data play)": _browser,
             "GPU (torch CUDA)": _gpu,
             "Hugging Face Hub": _hub,
         }
+        caches = find_caches()
+        disks = _disks()
         results = {name: _attempt(check) for name, check in checks.items()}
         versions = {name: _version(name) for name in ("h3data", *_PACKAGES)}
         data: dict[str, Any] = {
@@ -61,12 +76,16 @@ class Doctor:
             "cpus": os.cpu_count(),
             "checks": results,
             "versions": versions,
+            "free_bytes": disks,
+            "caches": {cache.name: cache.row() for cache in caches},
         }
-        required = [name for name in results if name not in ("GPU (torch CUDA)", "Hugging Face Hub")]
+        required = [name for name in results if name not in _OPTIONAL]
         broken = [name for name in required if not results[name]["ok"]]
         lines = [f"Python {data['python']} on {data['platform']}, {data['cpus']} CPUs", ""]
         lines += [f"  {'ok ' if r['ok'] else 'no '} {name:<28} {r['detail']}" for name, r in results.items()]
         lines += ["", "  " + ", ".join(f"{name} {version or 'MISSING'}" for name, version in versions.items())]
+        lines += ["", "Free disk space", *(f"  {free / 1e9:9.1f} GB  {place}" for place, free in disks.items())]
+        lines += ["", "Caches, which `h3data cache clear [NAME ...]` deletes", *cache_lines(caches)]
         if broken:
             lines += ["", f"Not working: {', '.join(broken)}. Hint: pip install --force-reinstall h3data"]
         return Outcome(text="\n".join(lines), data=data, exit_code=1 if broken else 0)
@@ -121,7 +140,47 @@ def _collision() -> str:
 def _video() -> str:
     import av
 
-    return f"encoder {av.Codec('libx264', 'w').name}"
+    encoders = []
+    for name in ("libx264", "libsvtav1", "libaom-av1"):
+        try:
+            encoders.append(av.Codec(name, "w").name)
+        except ValueError:
+            if name == "libx264":  # the one that all our videos need
+                raise
+    libraries = {name: ".".join(map(str, number)) for name, number in av.library_versions.items()}
+    shown = ", ".join(f"{name} {libraries[name]}" for name in ("libavcodec", "libavformat", "libswscale"))
+    return f"encoders {', '.join(encoders)}; PyAV {av.__version__}, {shown}"
+
+
+def _kernels() -> str:
+    """Whether kernels that came compiled fit this machine."""
+    from h3data.kernels import shipped
+
+    folder = shipped.folder()
+    if folder is None:
+        raise RuntimeError(f"{shipped.missing()} (not needed: all are compiled at first use, a minute in all)")
+    files = list(folder.iterdir())
+    return f"{len(files)}, {size_text(sum(file.stat().st_size for file in files))}, in {folder}"
+
+
+def _browser() -> str:
+    """Browsers on this machine; people may also play from any other one."""
+    found = []
+    for name in _BROWSERS:
+        if path := shutil.which(name):
+            done = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=20, check=False)
+            found.append((done.stdout.strip().splitlines() or [f"{name} of unknown version"])[-1])
+    if not found:
+        raise RuntimeError(f"none of {', '.join(_BROWSERS)} (not needed: any browser of the network can play)")
+    return ", ".join(dict.fromkeys(found))
+
+
+def _disks() -> dict[str, int]:
+    """Free space [bytes] where results, temporary files and caches go."""
+    places = [Path.cwd(), Path(tempfile.gettempdir())]
+    if (cache := cache_folder("")) is not None:
+        places.append(next(path for path in (cache, *cache.parents) if path.exists()))
+    return {str(place): shutil.disk_usage(place).free for place in places}
 
 
 def _rerun() -> str:
@@ -154,5 +213,10 @@ def _gpu() -> str:
     import torch
 
     if not torch.cuda.is_available():
-        raise RuntimeError("no CUDA device (not needed)")
+        hint = (
+            f"; torch {torch.__version__} brought gigabytes of CUDA: {CPU_TORCH} frees them"
+            if torch.version.cuda
+            else ""
+        )
+        raise RuntimeError(f"no CUDA device (not needed{hint})")
     return torch.cuda.get_device_name(0)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from h3data.errors import H3DataError
-from h3data.kernels import compiled_count, compiled_files
+from h3data.kernels import compiled_count, compiled_files, shipped
 from h3data.progress import QUIET, is_quiet
 from h3data.terminal import counted
 from h3data_pipelines.command import JsonFlag, Outcome
@@ -29,6 +29,8 @@ from h3data_pipelines.execution.processes import core_count
 class Warmup:
     """Compile all kernels now, on all cores, so that later commands start at once. Needed once per machine and version.
 
+    Most kernels come compiled with the package h3data-kernels where it fits (Linux on x86-64; `h3data doctor` says).
+
     Examples:
         h3data warmup
         h3data warmup --json
@@ -37,7 +39,7 @@ class Warmup:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        start, parts, files, compiled = time.perf_counter(), {}, {}, 0
+        start, parts, files, came, compiled = time.perf_counter(), {}, {}, {}, 0
         _say(f"Compiling kernels on {counted(core_count(), 'core')}: about half a minute on two, once.\n")
         with ThreadPoolExecutor(core_count()) as pool:
             jobs = {pool.submit(_run_apart, name): name for name in WORK}
@@ -46,18 +48,25 @@ class Warmup:
                 parts[jobs[job]] = report
                 compiled += report["compiled"]
                 files |= report["files"]
+                came |= report["shipped"]
                 _say(f"  {jobs[job]:<11} {report['wall_s']:5.1f} s, {counted(report['compiled'], 'kernel')}\n")
         data: dict[str, Any] = {
             "compiled": compiled,
+            "shipped": len(came),
             "kernels": len(files),
             "megabytes": round(sum(files.values()) / 1e6, 1),
             "folder": os.path.commonpath(files) if files else None,
             "wall_s": round(time.perf_counter() - start, 1),
             "parts": {name: {key: parts[name][key] for key in ("wall_s", "compiled")} for name in WORK},
         }
-        made = f"Compiled {counted(compiled, 'kernel')}" if compiled else "All kernels had been compiled before"
+        made = f"Compiled {counted(compiled, 'kernel')}" if compiled else "There was nothing to compile"
         kept = f"{data['kernels']} kernels take {data['megabytes']} MB in {data['folder']}"
-        return Outcome(text=f"{made} ({data['wall_s']} s). {kept if files else 'They cannot be kept here.'}", data=data)
+        told = [f"{made} ({data['wall_s']} s)."]
+        if came:
+            told.append(f"{counted(len(came), 'kernel')} came compiled, {round(sum(came.values()) / 1e6, 1)} MB.")
+        if files or compiled:
+            told.append(kept if files else "They cannot be kept here.")
+        return Outcome(text=" ".join(told), data=data)
 
 
 def _say(line: str) -> None:
@@ -66,12 +75,16 @@ def _say(line: str) -> None:
 
 
 @contextmanager
-def compiled_aside(names: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
+def compiled_aside(names: Sequence[str]) -> Iterator[subprocess.Popen[str] | None]:
     """Compiles the kernels of some of `WORK` in a process of its own while the block runs.
 
     numba compiles in one thread of a process at a time. When this process needs a kernel that the other one is compiling,
-    it waits for it (`h3data.kernels`). When all is compiled, the other process takes a second of one core.
+    it waits for it (`h3data.kernels`). When all is compiled, the other process takes a second of one core. Where kernels come
+    compiled (`h3data.kernels.shipped`) there is no such process, and None in its place.
     """
+    if shipped.folder() is not None:
+        yield None
+        return
     aside = _start(names, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield aside
@@ -101,7 +114,8 @@ def run(names: Sequence[str]) -> None:
         os.environ["H3DATA_CACHE"] = folder  # so that what others have cached is computed here too
         for name in names:
             WORK[name]()
-    sys.stdout.write(jsonlib.dumps({"compiled": compiled_count(), "files": compiled_files()}))
+    report = {"compiled": compiled_count(), "files": compiled_files(), "shipped": shipped.loaded_files()}
+    sys.stdout.write(jsonlib.dumps(report))
 
 
 # --- work that needs every kernel once --------------------------------------------------------------------------------

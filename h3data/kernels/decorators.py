@@ -14,10 +14,9 @@ from __future__ import annotations
 import errno
 import functools
 import gc
-import hashlib
+import importlib.util
 import logging
 import os
-import re
 import socket
 import sys
 import warnings
@@ -25,17 +24,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from numba import _dynfunc, njit, types  # type: ignore[attr-defined]  # a compiled module
-from numba.core import sigutils
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba import njit
+from numba.core import config, sigutils
+from numba.core.caching import _CacheLocator
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.compiler_machinery import register_pass
 from numba.core.dispatcher import Dispatcher
-from numba.core.typed_passes import NativeLowering
+from numba.misc.appdirs import AppDirs
 
+from h3data.kernels import shipped
+from h3data.kernels.digests import OURS, source_digest
+from h3data.kernels.parts import PartCompiler, part_type
 from h3data.progress import is_quiet
 
 try:
@@ -43,18 +43,14 @@ try:
 except ImportError:  # not POSIX: every process compiles for itself
     fcntl = None
 
-_log = logging.getLogger(__name__)
+_log = logging.getLogger("h3data.kernels")
 if _log.level == logging.NOTSET:
     _log.setLevel(logging.INFO)
 _kernels: list[Any] = []
 _COMMON: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True}  # nobody takes the address of a kernel
 _PART: dict[str, Any] = {**_COMMON, "no_cpython_wrapper": True}
 
-OURS = ("h3data", "sim_kinematic")
-"""Packages whose sources are part of the stamp."""
 ANNOUNCEMENT = "Compiling kernels, once per machine: up to a minute in all; `h3data warmup` does it ahead."
-_IMPORT = re.compile(r"^(?:from|import)\s+([\w.]+)", re.MULTILINE)
-"""Top-level imports; indented ones are for type checkers or run too late to reach a kernel."""
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -67,7 +63,6 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         try:
             dispatcher: Any = njit(cache=True, **_COMMON, **options)(function)
         except RuntimeError:  # numba finds no writable folder for its cache
-            _warn_once()
             dispatcher = njit(**_COMMON, **options)(function)
         cache: Any = getattr(dispatcher, "_cache", None)
         if hasattr(cache, "_cache_file"):  # absent with NUMBA_DISABLE_JIT
@@ -89,85 +84,12 @@ def kernel_part(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
-        part: Any = njit(**_PART, pipeline_class=_PartCompiler, **options)(function)
+        part: Any = njit(**_PART, pipeline_class=PartCompiler, **options)(function)
         if isinstance(part, Dispatcher):
-            part.__class__ = _part_type(type(part))
+            part.__class__ = part_type(type(part))
         return part
 
     return compiled
-
-
-class _PartLibrary(JITCodeLibrary):
-    """The LLVM module of a part of kernels, to be linked into theirs. numba would optimise it, with all parts that it calls,
-    and compile it to machine code that nobody runs: a third of the time (21 of 36 s for the gait of people in all)."""
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        try:
-            passes, builder = self._codegen._function_pass_manager()
-        except TypeError:  # numba 0.61
-            super()._optimize_functions(ll_module)
-            return
-        ll_module.data_layout = self._codegen._data_layout
-        for function in ll_module.functions:
-            if not function.is_declaration:
-                passes.run(function, builder)
-
-    def _optimize_final_module(self) -> None:
-        pass
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _PartLowering(NativeLowering):
-    """`NativeLowering` into a `_PartLibrary`."""
-
-    _name = "h3data_part_lowering"
-
-    def run_pass(self, state: Any) -> Literal[True]:
-        library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.library, state.flags.no_compile = library, True
-        super().run_pass(state)
-        library._ensure_finalized()
-        made, name = state["cr"], state.func_id.func_name
-        entry = _dynfunc.make_function(made.fndesc.lookup_module(), name, "", 0, made.env, (library,))
-        state.targetctx.insert_user_function(entry, made.fndesc, [library])  # by which callers find the library
-        if reloaded := getattr(library, "_reload_init", ()):  # since numba 0.62
-            state.reload_init.extend(reloaded)
-        state["cr"] = made._replace(cfunc=entry)
-        return True
-
-
-class _PartCompiler(Compiler):
-    """numba's compiler, with `_PartLowering` in place of `NativeLowering`."""
-
-    def define_pipelines(self) -> list[Any]:
-        pipelines = super().define_pipelines()
-        for pipeline in pipelines:
-            pipeline.passes[:] = [
-                (_PartLowering if step is NativeLowering else step, text) for step, text in pipeline.passes
-            ]
-            pipeline._finalized = False
-            pipeline.finalize()
-        return pipelines
-
-
-@functools.cache
-def _part_type(dispatcher_type: type) -> type:
-    def refuse(self: Any, *_: Any, **__: Any) -> None:
-        raise TypeError(
-            f"{self.__name__} is part of a kernel and has no entry point for Python; call it from a kernel."
-        )
-
-    def get_call_template(self: Any, args: Any, kws: Any) -> Any:
-        """numba would compile a part once for each constant argument."""
-        plain = {name: types.unliteral(kind) for name, kind in kws.items()}
-        return dispatcher_type.get_call_template(self, tuple(types.unliteral(kind) for kind in args), plain)
-
-    # without __call__, numba would call a null pointer
-    return type("KernelPart", (dispatcher_type,), {"__call__": refuse, "get_call_template": get_call_template})
 
 
 # --- compiling ------------------------------------------------------------------------------------------------------
@@ -183,23 +105,47 @@ def compiled_files() -> dict[str, int]:
     return {str(path): path.stat().st_size for path in paths}
 
 
+def kept_files() -> list[Path]:
+    """All files that numba keeps of our kernels, wherever it can, those of earlier versions and settings included."""
+    places: set[str] = set()
+    for name in OURS:
+        spec = importlib.util.find_spec(name)
+        for root in (spec.submodule_search_locations or ()) if spec else ():
+            for folder, _, files in os.walk(root):
+                if source := next((file for file in files if file.endswith(".py")), None):
+                    apart = _CacheLocator.get_suitable_cache_subpath(os.path.join(folder, source))
+                    wide = (config.CACHE_DIR, AppDirs(appname="numba", appauthor=False).user_cache_dir)
+                    places |= {os.path.join(folder, "__pycache__"), *(os.path.join(w, apart) for w in wide if w)}
+    found = (path for place in places for path in Path(place).glob("*.nb[ci]*"))
+    return sorted(path for path in found if path.suffix in (".nbi", ".nbc", ".lock"))
+
+
 def _compile(dispatcher: Any, signature: Any) -> Any:
-    """numba's `Dispatcher.compile`, once per machine."""
-    compile_here = functools.partial(type(dispatcher).compile, dispatcher, signature)
+    """numba's `Dispatcher.compile`, at most once per machine, and not at all where the machine code came along."""
     with global_compiler_lock:  # taken before the file lock by everybody, so that threads cannot block each other
-        if tuple(sigutils.normalize_signature(signature)[0]) in dispatcher.overloads:
-            return compile_here()
-        file = getattr(dispatcher._cache, "_cache_file", None)
-        if file is None:
-            _announce()
-            with _garbage_kept():
-                return compile_here()
-        key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
-        if key in file._load_index():
-            return compile_here()
+        types = tuple(sigutils.normalize_signature(signature)[0])
+        if types not in dispatcher.overloads and not shipped.load(dispatcher, types):
+            _compile_here(dispatcher, signature)
+            shipped.record(dispatcher, types)
+        return dispatcher.overloads[types].entry_point
+
+
+def _compile_here(dispatcher: Any, signature: Any) -> None:
+    compile_here = functools.partial(type(dispatcher).compile, dispatcher, signature)
+    file = getattr(dispatcher._cache, "_cache_file", None)
+    if file is None:
+        _warn_once()
         _announce()
-        with _locked(Path(file._index_path + ".lock")), _garbage_kept():
-            return compile_here()  # looks into the cache again: another process may have just filled it
+        with _garbage_kept():
+            compile_here()
+        return
+    key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
+    if key in file._load_index():
+        compile_here()
+        return
+    _announce()
+    with _locked(Path(file._index_path + ".lock")), _garbage_kept():
+        compile_here()  # looks into the cache again: another process may have just filled it
 
 
 @contextmanager
@@ -260,26 +206,3 @@ def _warn_once() -> None:
         RuntimeWarning,
         stacklevel=3,
     )
-
-
-@functools.cache
-def _source(module: str) -> tuple[str, tuple[str, ...]]:
-    """Digest of a module's source, and the names of our modules that it imports."""
-    path = getattr(sys.modules.get(module), "__file__", None)
-    if path is None:
-        return "", ()
-    text = Path(path).read_text(encoding="utf-8")
-    imports = {name for name in _IMPORT.findall(text) if name.split(".")[0] in OURS}
-    return hashlib.sha256(text.encode()).hexdigest(), tuple(sorted(imports))
-
-
-def source_digest(module: str) -> str:
-    """Digest of the sources of a module and of all our modules that it imports, directly or indirectly."""
-    digests: dict[str, str] = {}
-    waiting = [module]
-    while waiting:
-        name = waiting.pop()
-        if name not in digests:
-            digests[name], imports = _source(name)
-            waiting += imports
-    return hashlib.sha256("".join(f"{name} {digests[name]}\n" for name in sorted(digests)).encode()).hexdigest()

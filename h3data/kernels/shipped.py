@@ -1,0 +1,175 @@
+"""Machine code of kernels that comes with the package ``h3data_kernels``, so that nobody waits for it to be compiled.
+
+A file holds one kernel for one list of argument types, as numba pickles it for its own cache, with xz. Its name has the
+digests of all that went into it (`h3data.kernels.digests`), and its folder the versions of Python and numba, the system and
+the level of the processor: code that does not fit has another name and is not found, so the kernel is compiled as if there
+were no package. So it is where anything else is amiss: no package, another processor, a damaged file, settings of numba
+that change what it compiles (``NUMBA_CPU_NAME=host`` compiles for just this processor).
+
+Pickles can run code, as modules can. They are therefore read from one place only: the package beside this one in the same
+folder of installed packages, or in the same checkout.
+
+``make kernels`` fills the package. It runs commands with ``H3DATA_KERNELS_RECORD`` naming a folder; every process then
+leaves there the kernels that it has used.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import logging
+import lzma
+import os
+import pickle
+import platform
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numba
+from llvmlite import binding as llvm
+from numba.core import types
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+from h3data.kernels.digests import OURS, UnknownError, code_digest, types_digest
+
+log = logging.getLogger(__name__)
+
+LEVEL = "x86-64-v3"
+"""What `LEVEL_FEATURES` are called; shipped code is as fast as that for the very processor, but for AVX-512 in step kernels."""
+LEVEL_FEATURES = (
+    "avx",
+    "avx2",
+    "bmi",
+    "bmi2",
+    "cx16",
+    "f16c",
+    "fma",
+    "lzcnt",
+    "movbe",
+    "popcnt",
+    "sahf",
+    "sse4.2",
+    "ssse3",
+)
+RECORD = "H3DATA_KERNELS_RECORD"
+PACKAGE = "h3data_kernels"
+_HARMLESS = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER", "NUMBA_DISABLE_PERFORMANCE_WARNINGS")
+"""Settings of numba that do not change what it compiles."""
+_FORMAT = 1
+"""Part of the digests: raise it when machine code changes for a reason that they do not see."""
+
+_loaded: dict[str, int] = {}
+
+
+def loaded_files() -> dict[str, int]:
+    """Size [bytes] of each shipped file whose machine code this process has loaded."""
+    return dict(_loaded)
+
+
+def folder_name() -> str:
+    """Name of the folder for this Python, numba, system and processor."""
+    machine = LEVEL if platform.machine() == "x86_64" else platform.machine()
+    return f"{sys.implementation.cache_tag}-numba{numba.__version__}-{sys.platform}-{machine}"
+
+
+def folder() -> Path | None:
+    """The folder of kernels that fit this machine; None if there are none."""
+    found = _found()
+    return found if isinstance(found, Path) else None
+
+
+def missing() -> str:
+    """Why there are none, for people; empty if there are some."""
+    found = _found()
+    return found if isinstance(found, str) else ""
+
+
+@functools.cache
+def _found() -> Path | str:
+    """The folder, or why there is none."""
+    settings = {name for name in os.environ if name.startswith("NUMBA_")} - set(_HARMLESS)
+    if os.environ.get("NUMBA_CPU_NAME") == LEVEL and os.environ.get("NUMBA_CPU_FEATURES") == "":
+        settings -= {"NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"}
+    if settings or sys.flags.optimize:
+        return f"{', '.join(sorted(settings)) or 'python -O'} may change what is compiled"
+    here = Path(__file__).parents[2]  # of all packages: site-packages, or a checkout
+    packages = [each / PACKAGE for each in (here, here / "pipelines") if (each / PACKAGE).is_dir()]
+    if not packages:
+        return "h3data-kernels is not installed"
+    folders = [package / folder_name() for package in packages if (package / folder_name()).is_dir()]
+    if not folders:
+        return f"h3data-kernels has none for {folder_name()}"
+    features = llvm.get_host_cpu_features()
+    if lacking := [name for name in LEVEL_FEATURES if not features.get(name)]:
+        return f"the processor is not of level {LEVEL}: it lacks {', '.join(lacking)}"
+    return folders[0]
+
+
+def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
+    """Gives a kernel its shipped machine code for arguments of these types; False if there is none that fits."""
+    shipped = folder()
+    name = None if shipped is None else file_name(dispatcher, kinds)
+    if shipped is None or name is None:
+        return False
+    path = shipped / name
+    try:
+        with lzma.open(path) as file:
+            payload = pickle.load(file)
+        dispatcher.targetctx.refresh()
+        result = CompileResult._rebuild(dispatcher.targetctx, *payload)
+    except FileNotFoundError:
+        return False
+    except Exception as fault:  # damaged, in one of the many ways that pickle and LLVM have to say so
+        log.warning("A shipped kernel is damaged and is compiled here (%s: %s): %s", type(fault).__name__, fault, path)
+        return False
+    dispatcher._cache_hits[tuple(kinds)] += 1
+    dispatcher.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
+    dispatcher.add_overload(result)
+    _loaded[str(path)] = path.stat().st_size
+    if RECORD in os.environ:
+        shutil.copy(path, _recorded(name))
+    return True
+
+
+def record(dispatcher: Any, kinds: Sequence[types.Type]) -> None:
+    """Keeps what was just compiled for arguments of these types in the folder that `RECORD` names, if it does."""
+    if RECORD not in os.environ or dispatcher.py_func.__module__.split(".")[0] not in OURS:
+        return
+    name = file_name(dispatcher, kinds)
+    if name is None:
+        log.warning("No digest covers %s of %s; it will not be shipped.", dispatcher.__name__, dispatcher.__module__)
+    elif not (path := _recorded(name)).exists():
+        cache = dispatcher._cache
+        payload = dumps(cache._cache_file.load(cache._index_key(tuple(kinds), dispatcher.targetctx.codegen())))
+        part = path.with_suffix(f".{os.getpid()}.part")
+        part.write_bytes(lzma.compress(payload, preset=9 | lzma.PRESET_EXTREME))
+        part.replace(path)
+
+
+def _recorded(name: str) -> Path:
+    return Path(os.environ[RECORD], name)
+
+
+def file_name(dispatcher: Any, kinds: Sequence[types.Type]) -> str | None:
+    """Name of the file for a kernel and the types of its arguments; None if no digest can cover what it reads."""
+    try:
+        code, arguments = code_stamp(dispatcher), types_digest(kinds)
+    except UnknownError:
+        return None
+    return f"{code}-{arguments[:16]}.nbc.xz"
+
+
+def code_stamp(dispatcher: Any) -> str:
+    """The part of a file's name that changes when the code of a kernel does: its name and a digest."""
+    digest = hashlib.sha256(f"{_FORMAT} {_compiler_digest()} {code_digest(dispatcher)}".encode()).hexdigest()
+    return f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}-{digest[:16]}"
+
+
+@functools.cache
+def _compiler_digest() -> str:
+    """Digest of how we compile."""
+    return hashlib.sha256(Path(__file__).with_name("parts.py").read_bytes()).hexdigest()

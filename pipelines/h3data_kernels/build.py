@@ -1,0 +1,96 @@
+"""Fills the folder of this Python and numba with the kernels that h3data's commands use: ``make kernels``.
+
+It runs the commands of `SESSIONS`, each session in a process tree and with caches of its own, and keeps what they have loaded
+or compiled (`h3data.kernels.shipped.RECORD`). Kernels whose code has not changed are loaded from the folder, so only new ones
+take time: all of them take some five minutes on two idle cores, none of them one.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from h3data.errors import H3DataError
+from h3data.files import size_text
+from h3data.kernels import shipped
+from h3data_pipelines.execution.processes import core_count
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+DOCS = "python -m pytest -q -p no:cacheprovider -m slow tests/product/test_docs_run.py -k"
+SESSIONS: dict[str, tuple[str, ...]] = {
+    "README": (f"{DOCS} README",),  # its commands as a reader types them
+    "documentation": (f'{DOCS} "environments or sessions or rerender or first-table or export or view or report"',),
+    "training": (f'{DOCS} "training or skills"',),
+    "demo": (
+        "h3data demo -o {scratch}/demo",
+        "h3data demo -o {scratch}/flat --light flat --steps 60",
+        "h3data doctor",
+        "h3data warmup",
+    ),
+    "live play": ("python -m pytest -q -p no:cacheprovider -m slow tests/viewers/hitl/test_live.py -k rehearsal",),
+}
+"""What users run, by what progress calls it. ``{scratch}`` is a folder of the session; everything runs in the checkout."""
+
+
+def build() -> str:
+    """Runs everything and replaces the folder; says what it holds."""
+    if sys.platform != "linux" or not shipped.folder_name().endswith(shipped.LEVEL):
+        raise SystemExit(f"Kernels are shipped for Linux on x86-64; this is {shipped.folder_name()}.")
+    with TemporaryDirectory() as scratch, ThreadPoolExecutor(core_count()) as pool:
+        recorded = Path(scratch, "kernels")
+        recorded.mkdir()
+        list(pool.map(lambda name: _run(name, Path(scratch), recorded), SESSIONS))
+        return _replace(HERE / shipped.folder_name(), recorded)
+
+
+def _run(name: str, scratch: Path, recorded: Path) -> None:
+    start, folder = time.perf_counter(), scratch / name.replace(" ", "_")
+    folder.mkdir()
+    environment = {
+        **os.environ,
+        "NUMBA_CPU_NAME": shipped.LEVEL,
+        "NUMBA_CPU_FEATURES": "",
+        "NUMBA_CACHE_DIR": str(scratch / "numba"),
+        "H3DATA_CACHE": str(folder / "cache"),
+        "H3DATA_QUIET": "1",
+        shipped.RECORD: str(recorded),
+        "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "pipelines", ROOT / "viewers"))),
+    }
+    for line in SESSIONS[name]:
+        words = [word.replace("{scratch}", str(folder)) for word in shlex.split(line)]
+        program = ["-m", "h3data_pipelines.cli"] if words[0] == "h3data" else []
+        command = [sys.executable, *program, *words[1:]]
+        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise H3DataError(f"{line} failed; no kernels were replaced.\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
+    sys.stderr.write(f"  {name:<14} {time.perf_counter() - start:6.1f} s\n")
+
+
+def _replace(folder: Path, recorded: Path) -> str:
+    """Makes ``folder`` hold what was recorded. Files that are there already stay as they are, byte for byte."""
+    before = {path.name for path in folder.glob("*")}
+    now = {path.name: path.stat().st_size for path in recorded.glob("*.nbc.xz")}
+    folder.mkdir(exist_ok=True)
+    for name in now.keys() - before:
+        shutil.copy(recorded / name, folder / name)
+    for name in before - now.keys():
+        (folder / name).unlink()
+    return (
+        f"{len(now)} kernels, {size_text(sum(now.values()))}, in {folder}: "
+        f"{len(now.keys() - before)} new, {len(before - now.keys())} deleted"
+    )
+
+
+if __name__ == "__main__":
+    try:
+        print(build())  # noqa: T201
+    except H3DataError as error:
+        raise SystemExit(f"error: {error}") from None

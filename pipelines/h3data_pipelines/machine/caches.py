@@ -1,0 +1,126 @@
+"""``h3data cache``: what h3data keeps to be faster the next time, how large it is, and how to get rid of it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from h3data.errors import InputError, did_you_mean
+from h3data.files import cache_folder, size_text
+from h3data.terminal import counted
+from h3data_pipelines.command import Group, JsonFlag, Outcome
+
+KINDS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "kernels": ("functions compiled on this machine", (".nbi", ".nbc", ".lock")),
+    "freespace": ("where agents can stand, and ways", (".npz", ".part")),
+    "light": ("baked light of homes", (".npz", ".part")),
+    "arrow": ("columns of datasets for training", (".arrow", ".part")),
+    "gpu": ("functions compiled for a GPU", (".cubin", ".part")),
+}
+"""What each cache holds, and the endings of its files; no other file in its folder is counted or deleted."""
+
+
+@dataclass(frozen=True)
+class Cache:
+    """One kind of files that can be made again."""
+
+    name: str
+    holds: str
+    folder: Path | None
+    """Where they are or would be, below it for kernels; None where none are kept."""
+    files: tuple[Path, ...]
+
+    @property
+    def bytes(self) -> int:
+        return sum(path.stat().st_size for path in self.files if path.exists())
+
+    def row(self) -> dict[str, Any]:
+        folder = None if self.folder is None else str(self.folder)
+        return {"holds": self.holds, "bytes": self.bytes, "files": len(self.files), "folder": folder}
+
+
+def find_caches() -> list[Cache]:
+    """All caches as they are now, by the names of `KINDS`."""
+    return [_find(name) for name in KINDS]
+
+
+def cache_lines(caches: list[Cache]) -> list[str]:
+    """Caches as a table for people."""
+    return [
+        f"  {cache.name:<10} {size_text(cache.bytes):>9}  {cache.holds}{f': {cache.folder}' if cache.folder else ''}"
+        for cache in caches
+    ]
+
+
+def _find(name: str) -> Cache:
+    holds, endings = KINDS[name]
+    if name == "kernels":
+        from h3data.kernels import kept_files
+
+        files = kept_files()
+        folders = {path.parent for path in files}
+        return Cache(name, holds, Path(os.path.commonpath(folders)) if folders else None, tuple(files))
+    folder = cache_folder(name)
+    if folder is None:
+        return Cache(name, holds, None, ())
+    inside = sorted(folder.iterdir()) if folder.is_dir() else []
+    return Cache(name, holds, folder, tuple(p for p in inside if p.suffix in endings and p.is_file()))
+
+
+@dataclass(frozen=True)
+class CacheList:
+    """List the caches with their sizes and folders.
+
+    Examples:
+        h3data cache list
+        h3data cache list --json
+    """
+
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        caches = find_caches()
+        return Outcome(text="\n".join(cache_lines(caches)), data={cache.name: cache.row() for cache in caches})
+
+
+@dataclass(frozen=True)
+class CacheClear:
+    """Delete caches. Nothing is lost: what they hold is made again when it is needed, which takes time.
+
+    Examples:
+        h3data cache clear light freespace
+        h3data cache clear
+    """
+
+    names: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Of caches, as `h3data cache list` shows them; nothing means all."""
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        for name in self.names:
+            if name not in KINDS:
+                raise InputError(
+                    f"Unknown cache {name!r}.{did_you_mean(name, KINDS)} Expected one of: {', '.join(KINDS)}."
+                )
+        freed: dict[str, int] = {}
+        for cache in find_caches():
+            if cache.name in (self.names or KINDS):
+                freed[cache.name] = cache.bytes
+                for path in cache.files:
+                    _delete(path)
+        text = ", ".join(f"{name} {size_text(count)}" for name, count in freed.items())
+        return Outcome(text=f"Deleted {counted(len(freed), 'cache')}: {text}.", data={"bytes": freed})
+
+
+def _delete(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"Cannot delete a cached file ({error.strerror}): {path}") from None
+
+
+CACHE = Group("List and clear what h3data keeps to be faster next time.", {"list": CacheList, "clear": CacheClear})

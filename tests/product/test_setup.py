@@ -1,0 +1,89 @@
+"""`make setup` says what it does, installs no more than users need, and no CUDA by surprise."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.paths import ROOT
+
+PYTHON = """#!{python}
+import os, sys
+words = sys.argv[1:]
+with open({log!r}, "a") as log:
+    log.write(" ".join(words) + "\\n")
+if words[0] == "-c":
+    raise SystemExit(os.environ["HAS_TORCH"] == "no")
+if words[:3] == ["-m", "pip", "index"]:
+    print("Available versions:", os.environ["VERSIONS"])
+if "--index-url" in words and os.environ.get("OFFLINE"):
+    raise SystemExit(1)
+"""
+"""Stands in for the Python of the environment: writes down how it is called."""
+
+
+@pytest.fixture
+def venv(tmp_path: Path) -> Path:
+    if shutil.which("make") is None:
+        pytest.skip("needs make")
+    stand_in = tmp_path / "venv" / "bin" / "python"
+    stand_in.parent.mkdir(parents=True)
+    stand_in.write_text(PYTHON.format(python=sys.executable, log=str(tmp_path / "log")))
+    stand_in.chmod(0o755)
+    return tmp_path / "venv"
+
+
+def make(
+    venv: Path, target: str, *, versions: str, gpu: str = "", has_torch: str = "no", **more: str
+) -> tuple[str, list[str]]:
+    """What `make` prints, and the calls of pip that install something."""
+    environment = {"PATH": "/usr/bin:/bin", "VERSIONS": versions, "HAS_TORCH": has_torch, **more}
+    command = ["make", target, f"VENV={venv}", f"GPU={gpu}", "SLEEP=true"]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = (venv.parent / "log").read_text().splitlines()
+    return done.stdout, [line for line in lines if line.startswith("-m pip install")]
+
+
+TORCH = next(line for line in (ROOT / "constraints.txt").read_text().splitlines() if line.startswith("torch=="))
+PYPI = TORCH.removeprefix("torch==")
+
+
+def test_setup_installs_what_users_need_and_says_so_first(venv: Path) -> None:
+    said, installed = make(venv, "setup", versions=f"{PYPI}+cpu, {PYPI}")
+    assert said.startswith("Installing h3data into")
+    assert "minutes" in said.splitlines()[0]
+    (call,) = installed
+    assert call.endswith("-e .")
+    assert "quiet" not in call
+    assert "-q" not in call.split()
+
+
+def test_tests_add_the_rest(venv: Path) -> None:
+    said, installed = make(venv, "dev", versions=f"{PYPI}+cpu")
+    assert [call.rpartition(" ")[2] for call in installed] == [".", ".[dev]"]
+    assert "what tests and checks need" in said
+
+
+def test_without_a_gpu_torch_comes_without_cuda(venv: Path) -> None:
+    said, installed = make(venv, "setup", versions=f"2.14.0+cpu, {PYPI}")
+    assert "No NVIDIA GPU here" in said
+    assert f"install --disable-pip-version-check {TORCH} --index-url" in installed[0]
+    assert installed[0].endswith("/cpu")
+
+
+def test_where_that_cannot_be_had_cuda_is_announced_before_it_comes(venv: Path) -> None:
+    said, installed = make(venv, "setup", versions=PYPI, OFFLINE="1")
+    assert "pip installs torch with CUDA, 3 GB; Ctrl-C stops it" in said
+    assert [call.rpartition(" ")[2] for call in installed][1:] == ["."]
+
+
+@pytest.mark.parametrize("known", [{"gpu": "/dev/nvidiactl"}, {"has_torch": "yes"}])
+def test_with_a_gpu_or_with_torch_pip_decides(venv: Path, known: dict[str, str]) -> None:
+    said, installed = make(venv, "setup", versions=PYPI, **known)
+    assert "GPU" not in said
+    assert len(installed) == 1
