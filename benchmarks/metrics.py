@@ -10,11 +10,13 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from h3data.geometry import ground_pose
 from h3data.metrics.paper.encounter import encounter_series
+from h3data.metrics.paper.encounter_kernel import fill_series  # with numba, as in any process that simulates or draws
 from h3data.recording import STEP_NS, Agent, DatasetWriter, Episode, Recording
 
 EPISODES, STEPS = 10_000, 1_500
@@ -27,11 +29,16 @@ def run(emit: Callable[[str, float, str], None]) -> None:
     columns = synthetic_columns(BLOCK, STEPS)
     offsets = columns.pop("offsets")
     del columns["collision"]
+    a, b = offsets[:2]
+    arguments: dict[str, Any] = {name: column[a:b] for name, column in columns.items()}
+    encounter_series(**arguments)
+    assert fill_series.signatures, "the kernel is not used"
     start = time.process_time()
     found = 0
     for _ in range(EPISODES // BLOCK):
         for a, b in itertools.pairwise(offsets):
-            series = encounter_series(**{name: column[a:b] for name, column in columns.items()})
+            arguments = {name: column[a:b] for name, column in columns.items()}
+            series = encounter_series(**arguments)
             found += bool(series["found"].any())
     seconds = time.process_time() - start
     emit("metrics.kernel_rows_per_cpu_s", EPISODES * STEPS / seconds, "rows/s")

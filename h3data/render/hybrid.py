@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.render.camera import Camera
-from h3data.render.raster.cpu import CpuEngine, Targets, World
+from h3data.render.raster.cpu import CpuEngine, World
+from h3data.render.raster.drawings import Drawings
 from h3data.render.ray_cameras import cast_picture, picture_from_cube
 from h3data.render.rays import Part, RayCaster
 from h3data.render.scene import RenderScene
@@ -70,7 +71,7 @@ class HybridEngine(CpuEngine):
         return caster
 
     def _rasterise(
-        self, camera: Camera, world: World, targets: Targets, results: Mapping[str, NDArray], samples: int
+        self, camera: Camera, world: World, drawings: Drawings, results: Mapping[str, NDArray], samples: int
     ) -> None:
         colors = {name: array for name, array in results.items() if name == "rgb"}
         if self._casts(camera):
@@ -82,28 +83,31 @@ class HybridEngine(CpuEngine):
 
                 def render_face(side: Camera) -> NDArray[np.uint8]:
                     face = np.zeros((side.height, side.width, 3), np.uint8)
-                    self._rasterise_planar(side, world, targets, {"rgb": face}, samples)
+                    self._rasterise_planar(side, world, drawings, {"rgb": face}, samples)
                     return face
 
                 picture_from_cube(camera, render_face, colors["rgb"])
         elif results:
-            self._rasterise_planar(camera, world, targets, results, samples)
+            self._rasterise_planar(camera, world, drawings, results, samples)
 
     def _rasterise_planar(
-        self, camera: Camera, world: World, targets: Targets, results: Mapping[str, NDArray], samples: int
+        self, camera: Camera, world: World, drawings: Drawings, results: Mapping[str, NDArray], samples: int
     ) -> None:
         if not self._shadows(results):
-            super()._rasterise(camera, world, targets, results, samples)
+            super()._rasterise(camera, world, drawings, results, samples)
             return
         size = (camera.height, camera.width)
         more = {"depth": np.zeros(size, np.float32), "normal": np.zeros((*size, 3), np.float32), **results}
-        super()._rasterise(camera, world, targets, more, samples)
+        super()._rasterise(camera, world, drawings, more, samples)
         # Shaded once with and once without the sun; each pixel is blended by the share of the sun that it sees.
         fine = 2 if samples == 4 else 1
-        view, target = self._draw(camera, world, targets, fine=fine)
+        view, drawing, _ = self._draw(camera, world, drawings, fine=fine)
         shaded, dark = results["rgb"], np.zeros((*size, 3), np.uint8)
         patches = self.scene.patches if samples == 4 else None
-        self._shade(world, view, target, rgb=dark, patches=patches, light=replace(self.light, sun=(0.0, 0.0, 0.0)))
+        drawing.picture = None  # not that of this image
+        self._shade(
+            world, view, drawing.target, rgb=dark, patches=patches, light=replace(self.light, sun=(0.0, 0.0, 0.0))
+        )
         start, directions = camera.rays()
         points = (start + directions * more["depth"][..., None]) @ camera.pose[:3, :3].T + camera.pose[:3, 3]
         caster = self._caster(world, camera.hidden_layers)

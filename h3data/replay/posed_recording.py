@@ -81,7 +81,7 @@ class PosedRecording:
             self.library = self.library.with_own_folder(source.get("assets"))
         self.scene: Scene | None = None
         if "scene.glb" in recording.attachments:
-            self.scene = load_scene(recording.attachments["scene.glb"])
+            self.scene = self._read_scene(bytes(recording.attachments["scene.glb"]))
             self.library = self.library.with_scene(self.scene)
         self._tracks: list[Track | None] = []
         self._drawables: list[Drawable] = []
@@ -98,6 +98,9 @@ class PosedRecording:
         for index, agent in enumerate(recording.agents):
             if agent.model:
                 self._add_agent(index, agent)
+
+    def _read_scene(self, glb: bytes) -> Scene:
+        return load_scene(glb)
 
     # --- drawables ----------------------------------------------------------------------------------------------------
     @property

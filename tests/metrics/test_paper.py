@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import uuid
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from hypothesis import strategies as st
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import MissingColumnsError, explain_episode, find_metric, measure, measure_many, series_of, tabulate
+from h3data.metrics.paper import encounter
+from h3data.metrics.paper.encounter_kernel import fill_series
 from h3data.recording.records import STEP_NS, Agent, Episode, Event, Recording
 
 ROBOT, HUMAN = Agent(name="spot", kind="robot"), Agent(name="alex", kind="human")
@@ -304,3 +307,33 @@ def test_partnr_refusals():
             measure(partnr([1, 2], **info), "partnr")
     with pytest.raises(InputError, match="list of rows"):
         measure(partnr("soon"), "partnr")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_kernel_counts_as_numpy_does_to_the_last_bit(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(seed)
+    rows = 4_000
+    poses = rng.normal(size=(2, rows, 7)).astype(np.float32)
+    poses[1, :, :3] = poses[0, :, :3] + rng.normal(size=(rows, 3)) * [1, 0.1, 1]
+    poses[:, :, 3:] /= np.linalg.norm(poses[:, :, 3:], axis=-1, keepdims=True)
+    poses[0, 40:60] = poses[0, 40]  # stands still
+    poses[1, 100:120] = poses[0, 100:120]  # on the same spot
+    poses[0, 200:220, 3:] = [0, 0, np.sqrt(0.5), np.sqrt(0.5)]  # upright
+    poses[rng.integers(0, 2, 80), rng.integers(0, rows, 80)] = np.nan
+    reach = np.where(rng.random(rows) < 0.05, np.nan, rng.uniform(0, 3, rows)).astype(np.float32)
+    time_ns = np.cumsum(rng.integers(0, 9, rows) * 10_000_000)  # some steps take no time
+    arguments = (*poses, reach, time_ns)
+    starts = np.array([0, 1, 700, 2_500])
+    monkeypatch.setattr(encounter, "sys", SimpleNamespace(modules={}))
+    monkeypatch.setattr(encounter, "_measured_rows", 0)
+    plain = [encounter.encounter_series(*arguments, starts=s) for s in (0, starts)]
+    monkeypatch.setattr(encounter, "MANY_ROWS", rows)
+    compiled = [encounter.encounter_series(*arguments, starts=s) for s in (0, starts)]
+    assert fill_series.signatures
+    for one, other in zip(plain, compiled, strict=True):
+        assert list(one) == list(other)
+        for name, values in one.items():
+            assert values.dtype == other[name].dtype, name
+            np.testing.assert_array_equal(values, other[name], err_msg=name)
+    empty = encounter.encounter_series(poses[0, :0], poses[1, :0], reach[:0], time_ns[:0])
+    assert all(len(values) == 0 for values in empty.values())

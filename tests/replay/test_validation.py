@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,10 @@ from h3data.errors import H3DataError
 from h3data.geometry import pose_multiply
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.recording import DatasetWriter, Event, InputEvent, Recording, SkillSpan, state_hash, write_mcap
+from h3data.recording.episodes import StoredEpisode, read_ahead
+from h3data.replay import validation
 from h3data.replay.validation import Finding, validate_recording
-from h3data.scene import HomeSpec, build_home
+from h3data.scene import HomeSpec, build_home, load_scene
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.resume import verify
@@ -342,3 +344,49 @@ def test_time_that_goes_back_is_found(episode: Recording, tmp_path: Path, capsys
     (found,) = report["episodes"][0]["findings"]
     assert found["check"] == "unreadable"
     assert "in order" in found["text"]
+
+
+def test_a_home_that_episodes_share_is_read_once(
+    episode: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[int] = []
+
+    def counted(glb: bytes) -> Any:
+        read.append(len(glb))
+        return load_scene(glb)
+
+    monkeypatch.setattr(validation, "load_scene", counted)
+    validation._scene_of.cache_clear()
+    with DatasetWriter(tmp_path / "ds") as writer:
+        for k in range(4):
+            writer.add(replace(episode, episode=replace(episode.episode, uid=f"u{k}")))
+    assert main(["validate", str(tmp_path / "ds")]) == 0
+    assert len(read) == 1
+
+
+def test_episodes_are_read_together_and_a_damaged_one_alone() -> None:
+    asked: list[object] = []
+
+    def stored(k: int, path: str = "ds", length: int = 40, damaged: range = range(0)) -> StoredEpisode:
+        def together(indices: range) -> Iterator[Any]:
+            asked.append(indices)
+            if set(indices) & set(damaged):
+                raise H3DataError("damaged")
+            return iter([(path, n) for n in indices])
+
+        def alone() -> Any:
+            asked.append(k)
+            return path, k
+
+        return StoredEpisode(
+            f"{path}#{k}", Path(path), alone, lambda: {"length": length, "info": {}}, k, read_together=together
+        )
+
+    found = [stored(0), stored(1), stored(2), stored(4), stored(5), stored(0, "other"), stored(1, "other")]
+    got = [read() for read in read_ahead(found, most_steps=100)]
+    assert got == [("ds", 0), ("ds", 1), ("ds", 2), ("ds", 4), ("ds", 5), ("other", 0), ("other", 1)]
+    assert asked == [range(2), 2, range(4, 6), range(2)]
+    asked.clear()
+    got = [read() for read in read_ahead([stored(k, damaged=range(1, 2)) for k in range(2)], most_steps=100)]
+    assert got == [("ds", 0), ("ds", 1)]
+    assert asked == [range(2), 0, 1]

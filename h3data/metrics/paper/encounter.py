@@ -4,12 +4,13 @@ The one definition of "found" for the paper's metrics and whatever follows it; h
 `h3data.metrics.habitat.stats`.
 """
 
-# NumPy, not a compiled kernel: an episode of 1,500 rows takes 0.10 ms instead of 0.02 ms, but a command over a few episodes
-# does not import numba (0.25 s), and there is one set of rows for values, series, reports and viewers. The order of the
-# operations is that of the kernel it replaced, so values are the same to the last bit.
+# NumPy, so that a command over a few episodes does not import numba (0.25 s); a kernel (`encounter_kernel`), a third of the
+# time, where numba is there anyway or so many rows are measured that it is worth its import. Values are the same to the
+# last bit.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,12 @@ class Thresholds:
 
 
 PAPER = Thresholds()
+
+MANY_ROWS = 3_000_000
+"""Rows of one process from which on it imports numba for them: 2,000 episodes of the paper's length."""
+_QUANTITIES = ("dist_m", "reach_m", "facing_dot", "speed_m_s")
+_FLAGS = ("in_reach", "facing", "found", "near", "backs_up", "yields")
+_measured_rows = 0
 
 
 def found_series(
@@ -75,6 +82,10 @@ def encounter_series(
     Further quantity: ``speed_m_s`` [T], NaN in the first row of an episode. Further flags [T]: ``near`` (L2 distance below
     ``avoid_m``), ``backs_up`` and ``yields``, never both. The first row has no velocity and is neither.
     """
+    global _measured_rows
+    _measured_rows += len(robot_pose)
+    if ("numba" in sys.modules or _measured_rows > MANY_ROWS) and robot_pose.dtype == human_pose.dtype == np.float32:
+        return _compiled_series(robot_pose, human_pose, reach_m, time_ns, starts, thresholds)
     robot = _components(robot_pose)
     series, (forward_x, forward_z) = _found(robot, _components(human_pose), reach_m.astype(np.float64), thresholds)
     rows = len(robot_pose)
@@ -92,6 +103,31 @@ def encounter_series(
     flags = {name: series.pop(name) for name in ("in_reach", "facing", "found")}  # quantities come first in files
     yields = near & ~backs_up & (step < thresholds.yield_m_s * dt)
     return {**series, "speed_m_s": speed, **flags, "near": near, "backs_up": backs_up, "yields": yields}
+
+
+def _compiled_series(
+    robot_pose: NDArray[np.float32],
+    human_pose: NDArray[np.float32],
+    reach_m: NDArray[np.floating],
+    time_ns: NDArray[np.int64],
+    starts: NDArray[np.int64] | int,
+    limits: Thresholds,
+) -> dict[str, NDArray]:
+    from h3data.metrics.paper.encounter_kernel import fill_series
+
+    rows = len(robot_pose)
+    quantities, flags = np.empty((len(_QUANTITIES), rows)), np.empty((len(_FLAGS), rows), np.bool_)
+    fill_series(
+        np.ascontiguousarray(robot_pose),
+        np.ascontiguousarray(human_pose),
+        np.ascontiguousarray(reach_m, None if reach_m.dtype == np.float32 else np.float64),
+        np.ascontiguousarray(time_ns, np.int64),
+        np.atleast_1d(starts) if rows else np.zeros(0, np.int64),
+        (limits.near_m, limits.far_m, limits.facing, limits.avoid_m, limits.yield_m_s, limits.still_m_s),
+        quantities,
+        flags,
+    )
+    return dict(zip((*_QUANTITIES, *_FLAGS), (*quantities, *flags), strict=True))
 
 
 def _components(pose: NDArray[np.float32]) -> NDArray[np.float64]:

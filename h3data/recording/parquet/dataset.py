@@ -62,6 +62,7 @@ class Dataset(DatasetFolder):
                 partial(self.row, k),
                 index=k,
                 read_videos=partial(self.videos, k),
+                read_together=self.recordings,
             )
             for k in range(len(self))
         )

@@ -13,29 +13,29 @@ from numpy.typing import NDArray
 from h3data.render.camera import Camera
 from h3data.render.outputs import Poses, picture_arrays
 from h3data.render.raster.clusters import enclosing_box, fill_boxes, fill_packets, smooth_normals
-from h3data.render.raster.raster import Placement, Target, View, new_target, rasterise, reach_of
+from h3data.render.raster.drawings import Drawing, Drawings, Shown
+from h3data.render.raster.raster import Placement, Target, View, rasterise, reach_of
 from h3data.render.raster.raster_read import read_depth, read_ids, read_parallel_depth, read_triangles
 from h3data.render.scene import RenderScene
 from h3data.render.shade.blockers import Blockers
-from h3data.render.shade.shading import Light, shade
-
-_KEPT_TARGETS = 4
-"""Image sizes for which each thread keeps buffers."""
-
-Targets = dict[tuple[int, int], Target]
+from h3data.render.shade.shading import KeptPicture, Light, shade
 
 
 class CpuEngine:
-    """Renders perspective and orthographic cameras, one image per thread; pixels do not depend on the number of threads."""
+    """Renders perspective and orthographic cameras, one image per thread; pixels do not depend on the number of threads.
+
+    Where a camera is where it was in an earlier image, only what has changed since is drawn and shaded again, with the
+    same pixels as a result.
+    """
 
     def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1) -> None:
         self.scene = scene
         self.light = light
         self.worlds = [World(scene) for _ in range(worlds)]
         self.threads = threads
-        self._free: SimpleQueue[Targets] = SimpleQueue()
+        self._free: SimpleQueue[Drawings] = SimpleQueue()
         for _ in range(threads):
-            self._free.put({})
+            self._free.put(Drawings())
 
     @cached_property
     def _pool(self) -> ThreadPoolExecutor:
@@ -82,39 +82,68 @@ class CpuEngine:
         return results
 
     def _render(self, camera: Camera, world: World, results: Mapping[str, NDArray], samples: int) -> None:
-        targets = self._free.get()
+        drawings = self._free.get()
         try:
-            self._rasterise(camera, world, targets, results, samples)
+            self._rasterise(camera, world, drawings, results, samples)
         finally:
-            self._free.put(targets)
+            self._free.put(drawings)
 
     def _rasterise(
-        self, camera: Camera, world: World, targets: Targets, results: Mapping[str, NDArray], samples: int
+        self, camera: Camera, world: World, drawings: Drawings, results: Mapping[str, NDArray], samples: int
     ) -> None:
         at_centres = [name for name in results if name != "rgb"]
         if at_centres or (samples == 1 and "rgb" in results):
-            view, target = self._draw(camera, world, targets)
-            self._read(world, view, target, results, rgb=samples == 1)
+            view, drawing, again = self._draw(camera, world, drawings)
+            self._read(world, view, drawing.target, results)
+            rgb = results.get("rgb") if samples == 1 else None
+            if "normal" in results:
+                drawing.picture = None
+                self._shade(world, view, drawing.target, rgb=rgb, normal=results["normal"])
+            elif rgb is not None:
+                self._picture(world, view, drawing, rgb, None, again=again)
+            else:
+                drawing.picture = None
         if samples == 4 and "rgb" in results:
-            view, target = self._draw(camera, world, targets, fine=2)
-            self._shade(world, view, target, rgb=results["rgb"], patches=self.scene.patches)
+            view, drawing, again = self._draw(camera, world, drawings, fine=2)
+            self._picture(world, view, drawing, results["rgb"], self.scene.patches, again=again)
 
-    def _draw(self, camera: Camera, world: World, targets: Targets, *, fine: int = 1) -> tuple[View, Target]:
+    def _draw(self, camera: Camera, world: World, drawings: Drawings, *, fine: int = 1) -> tuple[View, Drawing, bool]:
+        """The view, a drawing that shows it, and whether it showed an earlier image of the same view before."""
         view, scene = view_of(camera, fine=fine), self.scene
-        size = (view.width, view.height)
-        target = targets.pop(size, None)
-        if target is None:
-            target = new_target(*size, draws=scene.draw_limit, instances=len(scene.instances))
-        targets[size] = target  # most recently used last
-        while len(targets) > _KEPT_TARGETS:
-            del targets[next(iter(targets))]
-        placement = Placement(scene.instance_mesh, world.matrix, world.shown(camera.hidden_layers))
+        shown = world.shown(camera.hidden_layers)
+        placement = Placement(scene.instance_mesh, world.matrix, shown)
         if view.parallel:
             view = view._replace(reach=reach_of(world.geometry, placement, view))
-        rasterise(world.geometry, scene.cutouts, placement, view, target)
-        return view, target
+        key = repr((camera.hidden_layers, id(world), view[3:])).encode()
+        key += view.axes.tobytes() + view.eye.tobytes() + view.intrinsics.tobytes()
+        drawing = drawings.of(key, view, draws=scene.draw_limit, instances=len(scene.instances))
+        tints = np.ones((len(shown), 4), np.float32) if world.blockers is None else world.blockers.tints.copy()
+        now = Shown(world.matrix.copy(), shown.copy(), dict(world.vertices), tints)
+        changed, again = drawing.changed(now, scene.instance_mesh), drawing.shown is not None
+        drawing.shown = None
+        rasterise(world.geometry, scene.cutouts, placement, view, drawing.target, changed)
+        drawing.shown = now
+        return view, drawing, again
 
-    def _read(self, world: World, view: View, target: Target, results: Mapping[str, NDArray], *, rgb: bool) -> None:
+    def _picture(
+        self,
+        world: World,
+        view: View,
+        drawing: Drawing,
+        rgb: NDArray[np.uint8],
+        patches: NDArray[np.int32] | None,
+        *,
+        again: bool,
+    ) -> None:
+        """Shades a drawing into ``rgb``, or what is not there of the picture of its last image."""
+        kept = drawing.picture if again else None
+        drawing.picture = None
+        if again and kept is None:
+            kept = KeptPicture(np.empty_like(rgb))
+        self._shade(world, view, drawing.target, rgb=rgb, patches=patches, kept=kept)
+        drawing.picture = kept
+
+    def _read(self, world: World, view: View, target: Target, results: Mapping[str, NDArray]) -> None:
         scene = self.scene
         if "depth" in results and view.parallel:
             read_parallel_depth(target.inv_z, view.reach, results["depth"])
@@ -127,9 +156,6 @@ class CpuEngine:
         if "triangle" in results:
             packets = world.geometry.cluster_packets
             read_triangles(target.words, target.draws, packets, scene.packet_triangles, results["triangle"])
-        picture, normal = results.get("rgb") if rgb else None, results.get("normal")
-        if picture is not None or normal is not None:
-            self._shade(world, view, target, rgb=picture, normal=normal)
 
     def _shade(
         self,
@@ -141,6 +167,7 @@ class CpuEngine:
         normal: NDArray[np.float32] | None = None,
         patches: NDArray[np.int32] | None = None,
         light: Light | None = None,
+        kept: KeptPicture | None = None,
     ) -> None:
         placement = Placement(self.scene.instance_mesh, world.matrix, world.visible)
         shade(
@@ -154,6 +181,7 @@ class CpuEngine:
             normal,
             world.blockers,
             patches,
+            kept,
         )
 
 

@@ -11,8 +11,11 @@ Stages of one image:
    asks for one.
 6. Last, draw the triangles with holes (`raster_cutouts`).
 
-A pixel's word in the visibility buffer is ``draw * 128 + triangle within the cluster``, or -1 in the background. Nearness
-is linear on the screen and increases towards the camera: 1/z, or ``reach - z`` for orthographic cameras.
+A pixel's word in the visibility buffer is ``draw * 128 + triangle within the cluster``, or -1 in the background; a draw is
+the same cluster of the same instance in every image. Nearness is linear on the screen and increases towards the camera:
+1/z, or ``reach - z`` for orthographic cameras.
+
+A camera that stands still draws only the tiles again in which an instance that has changed is or was; see `rasterise`.
 """
 
 from __future__ import annotations
@@ -109,10 +112,14 @@ class Target(NamedTuple):
     """Lower bound of nearness in each tile, shape [rows / 8, ceil(width / 8)]."""
     tile_stale: NDArray[np.uint8]
     """1 where something was drawn since the bound was computed."""
+    tile_drawn: NDArray[np.uint8]
+    """1 where the last image was drawn, 0 where it was kept from the one before."""
     draws: NDArray[np.int32]
-    """The clusters in this image (columns: INSTANCE, CLUSTER, TILE_...), shape [D, 6]."""
+    """The clusters of all instances, one instance after the other (columns: INSTANCE, CLUSTER, TILE_...), shape [D, 6]."""
     near: NDArray[np.float32]
-    """Smallest z of each draw, 0 = at the eye, shape [D] [m]."""
+    """Smallest z of each draw, 0 = at the eye, -1 = not in the image, shape [D] [m]."""
+    order: NDArray[np.int32]
+    """The draws in the order in which they were drawn, then -1, shape [D]."""
     camera_from_mesh: NDArray[np.float64]
     """Mesh to camera, per instance, shape [I, 3, 4]."""
     pixel_from_mesh: NDArray[np.float32]
@@ -129,8 +136,10 @@ def new_target(width: int, height: int, *, draws: int, instances: int) -> Target
         np.zeros((rows, stride), np.int32),
         np.zeros((rows // TILE, columns // TILE), np.float32),
         np.zeros((rows // TILE, columns // TILE), np.uint8),
+        np.zeros((rows // TILE, columns // TILE), np.uint8),
         np.zeros((draws, 6), np.int32),
-        np.zeros(draws, np.float32),
+        np.full(draws, -1, np.float32),
+        np.full(draws, -1, np.int32),
         np.zeros((instances, 3, 4)),
         np.zeros((instances, 3, 4), np.float32),
     )
@@ -148,11 +157,30 @@ def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
 
 
 @kernel(error_model="numpy", boundscheck=False)
-def rasterise(geometry, cutouts, placement, view, target):
-    """Renders one image into ``target``; returns the number of clusters in the frustum."""
-    _clear(target, view.width, view.height)
-    count = _collect(geometry, placement, view, target)
-    order = _front_to_back(target.near, count)
+def rasterise(geometry, cutouts, placement, view, target, changed):
+    """Renders one image into ``target``; returns the number of clusters in the frustum.
+
+    ``changed`` [I] marks the instances that differ from those that ``target`` shows in the same view: only the tiles in
+    which they are or were are drawn again. Of length 0, all is drawn.
+
+    The result is the same to the last bit. In the tiles that are kept, nothing that is drawn again is nearer than what is
+    there, and where two surfaces are equally near, the first one wins as it did. Only another order of the instances that
+    have not changed could alter that, and then all is drawn.
+    """
+    again = len(changed) > 0
+    if again:
+        target.tile_drawn[:] = 0
+        _mark_tiles(geometry, placement, target, changed)
+    listed = _collect(geometry, placement, view, target)
+    order = _front_to_back(target.near, listed)
+    if again and _same_order(order, target, changed):
+        _mark_tiles(geometry, placement, target, changed)
+        _clear_tiles(target, view.width, view.height)
+    else:
+        target.tile_drawn[:] = 1
+        _clear(target, view.width, view.height)
+    target.order[: len(order)] = order
+    target.order[len(order) :] = -1
     cut_first = cutouts.first
     draw_clusters(geometry, cut_first, view, target, order)
     if has_near_plane(view):
@@ -161,7 +189,7 @@ def rasterise(geometry, cutouts, placement, view, target):
         draw_cutouts(geometry, cutouts, view, target, order)
     if view.far < np.inf:
         _cut_far(view, target)
-    return count
+    return len(listed)
 
 
 @kernel()
@@ -172,6 +200,37 @@ def _clear(target, width, height):
     target.words[:] = -1
     target.tile_inv_z[:] = 0
     target.tile_stale[:] = 0
+
+
+@kernel_part()
+def _clear_tiles(target, width, height):
+    """`_clear` for the tiles that are drawn; the others hide everything."""
+    for ty in range(target.tile_drawn.shape[0]):
+        for tx in range(target.tile_drawn.shape[1]):
+            target.tile_stale[ty, tx] = 0
+            target.tile_inv_z[ty, tx] = FAR_PADDING
+            if target.tile_drawn[ty, tx]:
+                target.tile_inv_z[ty, tx] = 0
+                for y in range(ty * TILE, min((ty + 1) * TILE, height)):
+                    for x in range(tx * TILE, min((tx + 1) * TILE, width)):
+                        target.inv_z[y, x] = 0
+                        target.words[y, x] = -1
+
+
+@kernel_part()
+def _mark_tiles(geometry, placement, target, changed):
+    """Marks the tiles of the draws of changed instances."""
+    draws, drawn, first = target.draws, target.tile_drawn, 0
+    for i in range(len(changed)):
+        mesh = placement.mesh[i]
+        end = first + geometry.mesh_first[mesh + 1] - geometry.mesh_first[mesh]
+        if changed[i]:
+            for draw in range(first, end):
+                if target.near[draw] >= 0:
+                    for ty in range(draws[draw, TILE_Y0], draws[draw, TILE_Y1] + 1):
+                        for tx in range(draws[draw, TILE_X0], draws[draw, TILE_X1] + 1):
+                            drawn[ty, tx] = 1
+        first = end
 
 
 @kernel_part()
@@ -244,24 +303,28 @@ def _place_parallel(i, view, target, planes):
 
 @kernel_part()
 def _collect(geometry, placement, view, target):
-    """Fills the draws with the clusters inside the frustum, their tiles and smallest z; returns their number."""
+    """Fills the draws inside the frustum, their tiles and smallest z; returns their numbers."""
     fx, fy, cx, cy = view.intrinsics
     width, height = float(view.width), float(view.height)
     draws, near, center, half = target.draws, target.near, geometry.center, geometry.half
     planes = np.empty((5, 4))
     box = np.empty((3, 2))  # camera-space centre and half extent, per axis
-    count = 0
+    listed = np.empty(len(near), np.int32)
+    near[:] = -1
+    count = following = 0
     for i in range(len(placement.mesh)):
+        mesh = placement.mesh[i]
+        first_cluster, end_cluster = geometry.mesh_first[mesh], geometry.mesh_first[mesh + 1]
+        first_draw, following = following, following + end_cluster - first_cluster
         if not placement.shown[i]:
             continue
-        mesh = placement.mesh[i]
         _place(i, placement.matrix[i], view, target, planes)
         if view.parallel:
             _place_parallel(i, view, target, planes)
         if _outside(planes, geometry.mesh_center, geometry.mesh_half, mesh):
             continue
         to_camera = target.camera_from_mesh[i]
-        for cluster in range(geometry.mesh_first[mesh], geometry.mesh_first[mesh + 1]):
+        for cluster in range(first_cluster, end_cluster):
             if _outside(planes, center, half, cluster):
                 continue
             for r in range(3):
@@ -279,29 +342,46 @@ def _collect(geometry, placement, view, target):
                 top, bottom = _pixel_span(box[1, 0], box[1, 1], w0, w1, fy, cy, height)
                 if not (left <= right and top <= bottom):
                     continue
-            draws[count, INSTANCE], draws[count, CLUSTER] = i, cluster
-            draws[count, TILE_X0], draws[count, TILE_X1] = int(left) >> 3, int(right) >> 3
-            draws[count, TILE_Y0], draws[count, TILE_Y1] = int(top) >> 3, int(bottom) >> 3
-            near[count] = z0
+            draw = first_draw + cluster - first_cluster
+            draws[draw, INSTANCE], draws[draw, CLUSTER] = i, cluster
+            draws[draw, TILE_X0], draws[draw, TILE_X1] = int(left) >> 3, int(right) >> 3
+            draws[draw, TILE_Y0], draws[draw, TILE_Y1] = int(top) >> 3, int(bottom) >> 3
+            near[draw] = z0
+            listed[count] = draw
             count += 1
-    return count
+    return listed[:count]
 
 
 @kernel_part()
-def _front_to_back(near, count):
-    """Indices of the draws by smallest z (counting sort, which is stable, so that images are reproducible)."""
+def _front_to_back(near, listed):
+    """The listed draws by smallest z (counting sort, which is stable, so that images are reproducible)."""
     furthest = np.float32(1e-6)
-    for k in range(count):
-        furthest = max(furthest, near[k])
+    for draw in listed:
+        furthest = max(furthest, near[draw])
     scale = np.float32(SORT_BINS - 1) / furthest
     begin = np.zeros(SORT_BINS + 1, np.int32)
-    for k in range(count):
-        begin[int(near[k] * scale) + 1] += 1
+    for draw in listed:
+        begin[int(near[draw] * scale) + 1] += 1
     for b in range(SORT_BINS):
         begin[b + 1] += begin[b]
-    order = np.empty(count, np.int32)
-    for k in range(count):
-        b = int(near[k] * scale)
-        order[begin[b]] = k
+    order = np.empty(len(listed), np.int32)
+    for draw in listed:
+        b = int(near[draw] * scale)
+        order[begin[b]] = draw
         begin[b] += 1
     return order
+
+
+@kernel_part()
+def _same_order(order, target, changed):
+    """Whether the draws of all other instances than the changed ones come in the order in which they were drawn before."""
+    k, count = 0, len(target.order)
+    for draw in order:
+        if changed[target.draws[draw, INSTANCE]]:
+            continue
+        while k < count and target.order[k] >= 0 and changed[target.draws[target.order[k], INSTANCE]]:
+            k += 1
+        if k == count or target.order[k] != draw:
+            return False
+        k += 1
+    return True

@@ -188,6 +188,32 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
     return Tiled(blockers.rows, blockers.tints, first, listed, inv_z) if count else nothing
 
 
+def changed_tiles(before: Tiled, after: Tiled) -> NDArray[np.uint8]:
+    """1 for the tiles of an image in which other capsules matter than before, shape [tiles]; [0] if none did or do."""
+    if not len(before.first) and not len(after.first):
+        return np.zeros(0, np.uint8)
+    tiles = max(len(before.first), len(after.first)) - 1
+    first, earlier = (t.first if len(t.first) else np.zeros(tiles + 1, np.int32) for t in (after, before))
+    same = np.zeros(len(after.rows), np.bool_)
+    if before.rows.shape == after.rows.shape:
+        same = (before.rows == after.rows).all(1)
+    changed = np.zeros(tiles, np.uint8)
+    _compare_tiles(earlier, before.listed, first, after.listed, same, changed)
+    return changed
+
+
+@kernel(boundscheck=False)
+def _compare_tiles(earlier, listed_earlier, first, listed, same, changed):
+    for tile in range(len(changed)):
+        begin, old, count = first[tile], earlier[tile], first[tile + 1] - first[tile]
+        if earlier[tile + 1] - old != count:
+            changed[tile] = 1
+            continue
+        for k in range(count):
+            if listed[begin + k] != listed_earlier[old + k] or not same[listed[begin + k] >> 2]:
+                changed[tile] = 1
+
+
 def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
     """Boxes around the spheres of each capsule [N, S, 4]: from x, y [px] and 1/z to x, y and 1/z, [N, 6]; 1e9 to 0 if none is
     seen."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster import FAR_PADDING, Target, View
+from h3data.render.shade.marks import any_shaded
 from h3data.render.shade.occlusion_simd import (
     BIAS_PER_Z,
     CENTER_X,
@@ -74,6 +75,10 @@ class Occlusion(NamedTuple):
     """1/z, 0 = background, shape [rows, columns] [1/m]."""
     planes: NDArray[np.float32]
     """Slopes of 1/z along x and y, sharpness, and the amount of occlusion 0..1, shape [4, rows, columns]."""
+    scratch: NDArray[np.float32]
+    """z, amounts blurred along x, and amounts before they are blurred, shape [3, rows, columns]."""
+    changed: NDArray[np.uint8]
+    """Not 0 where a pixel differs from that of the image before; meaningless if there was none. Without padding."""
 
 
 def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.float32]:
@@ -97,54 +102,133 @@ def receded(view: View, target: Target) -> NDArray[np.float32]:
     return np.where(hit, 1 / (RECEDED_M + np.maximum(z, 0)), target.inv_z).astype(np.float32)
 
 
-def occlude(view: View, target: Target, samples: int) -> Occlusion:
+def occlude(view: View, target: Target, samples: int, *, before: Occlusion | None = None) -> Occlusion:
     """Occlusion of a rendered target; with ``samples=4``, target and view have twice the image's size.
 
-    For an orthographic view, ``target.inv_z`` must be the result of `receded`.
+    For an orthographic view, ``target.inv_z`` must be the result of `receded`. If ``before`` is the occlusion of the image
+    that the target showed before, in the same view, it is brought up to date instead, which gives the same numbers.
     """
     factor = 4 if samples == 4 else 2
     height, width = -(-view.height // factor), -(-view.width // factor)
-    rows, columns = height + 2 * EDGE_ROWS, -(-width // 8) * 8 + 2 * EDGE
-    inv_z = np.empty((rows, columns), np.float32)
-    planes = np.empty((4, rows, columns), np.float32)
-    scratch = np.empty((2, rows, columns), np.float32)
-    _occlude(target.inv_z, factor, height, width, _table(view, factor, width - 1, height - 1), inv_z, planes, scratch)
-    return Occlusion(inv_z, planes)
+    out = before
+    if out is None:
+        rows, columns = height + 2 * EDGE_ROWS, -(-width // 8) * 8 + 2 * EDGE
+        out = Occlusion(
+            np.empty((rows, columns), np.float32),
+            np.empty((4, rows, columns), np.float32),
+            np.empty((3, rows, columns), np.float32),
+            np.zeros((height, width), np.uint8),
+        )
+    table = _table(view, factor, width - 1, height - 1)
+    _occlude(target.inv_z, target.tile_drawn, factor, height, width, table, out, before is not None)
+    return out
 
 
 @kernel(error_model="numpy", boundscheck=False)
-def _occlude(source, factor, height, width, table, inv_z, planes, scratch):
-    """Fills ``inv_z`` and ``planes``; ``scratch`` holds z and half-blurred amounts."""
+def _occlude(source, drawn, factor, height, width, table, out, again):
+    """Fills ``out``, or, with ``again``, what depends on the tiles that were drawn."""
+    inv_z, planes, scratch, changed = out
     row = inv_z.shape[1]
     row_bytes, plane_bytes = np.uintp(row * 4), np.uintp(inv_z.size * 4)
-    z = scratch[0]
-    inv_z[:] = FAR_PADDING
-    scratch[1] = 0
+    z, raw, final = scratch[0], scratch[2], planes[3]
+    if not again:
+        inv_z[:] = FAR_PADDING
+        scratch[1:] = 0
+    changed[:] = 0
     for y in range(height):
         for x in range(width):
+            if again and not drawn[y * factor >> 3, x * factor >> 3]:
+                continue
             w = source[y * factor, x * factor]
+            if again and w == inv_z[y + EDGE_ROWS, x + EDGE]:
+                continue
+            changed[y, x] = 1
             inv_z[y + EDGE_ROWS, x + EDGE] = w
             z[y + EDGE_ROWS, x + EDGE] = np.float32(1) / w if w > 0 else np.float32(1e6)
     first = np.uintp((EDGE_ROWS * row + EDGE) * 4)
     inv_z_at, z_at = np.uintp(inv_z.ctypes.data) + first, np.uintp(z.ctypes.data) + first
     planes_at, half_at = np.uintp(planes.ctypes.data) + first, np.uintp(scratch.ctypes.data) + plane_bytes + first
+    raw_at = half_at + plane_bytes
     table_at = np.uintp(table.ctypes.data)
+    sums = _changed_sums(changed, again)
+    # blocks of 8 pixels whose amount or plane has changed, with a column to the left and right; whose blur along x has
+    touched = np.zeros((height, -(-width // 8) + 2), np.uint8)
+    blurred = np.zeros((height + 4, -(-width // 8)), np.uint8)
+    before = np.empty((4, 8), np.float32)
     for y in range(height):
+        r = y + EDGE_ROWS
         for x in range(0, width, 8):
+            count, c = min(8, width - x), x + EDGE
+            if again:
+                if not _reaches_changed(sums, inv_z, table, x, y, count):
+                    continue
+                for p in range(4):
+                    for k in range(count):
+                        before[p, k] = planes[p, r, c + k]
             occlusion_block(inv_z_at, z_at, planes_at, plane_bytes, np.uintp(x), np.uintp(y), np.uintp(row), table_at)
+            for k in range(count):
+                amount = final[r, c + k]
+                if again:
+                    final[r, c + k] = before[3, k]
+                    for p in range(3):
+                        if planes[p, r, c + k] != before[p, k]:
+                            changed[y, x + k] = 1
+                if changed[y, x + k] or amount != raw[r, c + k]:
+                    touched[y, x // 8 + 1] = 1
+                raw[r, c + k] = amount
     _clear_edges(planes, height, width)
-    amount_at = planes_at + np.uintp(3) * plane_bytes
-    sharpness_at = planes_at + np.uintp(2) * plane_bytes
+    sharpness_at, amount_at = planes_at + np.uintp(2) * plane_bytes, planes_at + np.uintp(3) * plane_bytes
     for y in range(height):
-        for x in range(0, width, 8):
-            k = np.uintp((y * row + x) * 4)
-            blur_block(inv_z_at + k, planes_at + k, sharpness_at + k, amount_at + k, half_at + k, np.uintp(4))
+        for b in range(-(-width // 8)):
+            if again and not (touched[y, b] or touched[y, b + 1] or touched[y, b + 2]):
+                continue
+            blurred[y + 2, b] = 1
+            k = np.uintp((y * row + 8 * b) * 4)
+            blur_block(inv_z_at + k, planes_at + k, sharpness_at + k, raw_at + k, half_at + k, np.uintp(4))
     for y in range(height):
-        for x in range(0, width, 8):
-            k = np.uintp((y * row + x) * 4)
+        for b in range(-(-width // 8)):
+            some = blurred[y, b] | blurred[y + 1, b] | blurred[y + 2, b] | blurred[y + 3, b] | blurred[y + 4, b]
+            if not some:
+                continue
+            r, c = y + EDGE_ROWS, 8 * b + EDGE
+            for k in range(8):
+                before[3, k] = final[r, c + k]
+            k = np.uintp((y * row + 8 * b) * 4)
             slope_at = planes_at + plane_bytes + k
             blur_block(inv_z_at + k, slope_at, sharpness_at + k, half_at + k, amount_at + k, row_bytes)
+            for k in range(min(8, width - 8 * b)):
+                if final[r, c + k] != before[3, k]:
+                    changed[y, 8 * b + k] = 1
     _clear_edges(planes, height, width)
+
+
+@kernel_part()
+def _changed_sums(changed, again):
+    """Number of changed pixels above and left of each pixel, shape [H + 1, W + 1]; [1, 1] if nothing was there before."""
+    if not again:
+        return np.zeros((1, 1), np.int32)
+    height, width = changed.shape
+    sums = np.zeros((height + 1, width + 1), np.int32)
+    for y in range(height):
+        total = np.int32(0)
+        for x in range(width):
+            total += np.int32(changed[y, x])
+            sums[y + 1, x + 1] = sums[y, x + 1] + total
+    return sums
+
+
+@kernel_part()
+def _reaches_changed(sums, inv_z, table, x, y, count):
+    """Whether a changed pixel lies where occlusion of ``count`` pixels from (x, y) may look: the disc of taps and slopes."""
+    nearest = np.float32(0)
+    for k in range(count):
+        nearest = max(nearest, inv_z[y + EDGE_ROWS, x + k + EDGE])
+    share = min(float(table[RADIUS]) * nearest, float(table[NEAR_RADIUS])) * 1.001
+    across, down = int(share * table[FOCAL_X]) + 3, int(share * table[FOCAL_Y]) + 3
+    height, width = sums.shape
+    x0, x1 = max(x - across, 0), min(x + count + across, width - 1)
+    y0, y1 = max(y - down, 0), min(y + 1 + down, height - 1)
+    return sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0] > 0
 
 
 @kernel_part()
@@ -159,9 +243,12 @@ def _clear_edges(planes, height, width):
 
 
 @kernel_part()
-def dim_row(occlusion, strength, y, near, strip):
-    """Dims an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given its 1/z ``near`` [W + 8]."""
-    inv_z, planes = occlusion
+def dim_row(occlusion, strength, y, near, strip, marks):
+    """Dims an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given its 1/z ``near`` [W + 8].
+
+    Blocks of 8 pixels none of which is marked as shaded (`marks`) are left out.
+    """
+    inv_z, planes = occlusion.inv_z, occlusion.planes
     row_bytes, plane_bytes = np.uintp(inv_z.shape[1] * 4), np.uintp(inv_z.size * 4)
     first = np.uintp(((y // 2 + EDGE_ROWS) * inv_z.shape[1] + EDGE) * 4)
     inv_z_at, planes_at = np.uintp(inv_z.ctypes.data) + first, np.uintp(planes.ctypes.data) + first
@@ -170,6 +257,8 @@ def dim_row(occlusion, strength, y, near, strip):
     between = y & 1
     lower_bytes, half_row = row_bytes * np.uintp(between), np.float32(0.5 * between)
     for x in range(0, len(near) - 8, 8):
+        if not any_shaded(marks, x):
+            continue
         c, f = np.uintp(x // 2 * 4), np.uintp(x * 4)
         dim_block(
             inv_z_at + c,
@@ -187,7 +276,7 @@ def dim_row(occlusion, strength, y, near, strip):
 @kernel_part(error_model="numpy")
 def light_left(occlusion, strength, x, y, near):
     """Share of the light that `dim_row` leaves at image pixel (x, y), for one sample at 1/z ``near``."""
-    inv_z, planes = occlusion
+    inv_z, planes = occlusion.inv_z, occlusion.planes
     total, weights = 0.0, NOWHERE
     for down in range(2):
         for right in range(2):

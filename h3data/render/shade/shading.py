@@ -16,9 +16,21 @@ from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
-from h3data.render.shade.blockers import NO_BLOCKERS, TILE_X, TILE_Y, Blockers, block_pixels, owner_of, set_rays, tiled
+from h3data.render.shade.blockers import (
+    NO_BLOCKERS,
+    TILE_X,
+    TILE_Y,
+    Blockers,
+    Tiled,
+    block_pixels,
+    changed_tiles,
+    owner_of,
+    set_rays,
+    tiled,
+)
 from h3data.render.shade.blockers_simd import RAY_WORDS, SCRATCH_ROWS
 from h3data.render.shade.borrowed import borrowed
+from h3data.render.shade.marks import SHADED, any_shaded, mark_row, mark_run, next_blocks
 from h3data.render.shade.occlusion import Occlusion, dim_row, light_left, occlude, receded
 from h3data.render.shade.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
 from h3data.render.shade.shading_simd import (
@@ -104,7 +116,23 @@ BYTE_OF_LINEAR = np.round(
 ).astype(np.uint8)
 
 
-_NO_OCCLUSION = Occlusion(np.zeros((0, 0), np.float32), np.zeros((4, 0, 0), np.float32))
+_NO_OCCLUSION = Occlusion(
+    np.zeros((0, 0), np.float32),
+    np.zeros((4, 0, 0), np.float32),
+    np.zeros((3, 0, 0), np.float32),
+    np.zeros((0, 0), np.uint8),
+)
+
+
+@dataclass
+class KeptPicture:
+    """The last picture of a camera that stands still, and what it was shaded with: only what has changed is shaded again."""
+
+    rgb: NDArray[np.uint8]
+    """Shape [H, W, 3]."""
+    occlusion: Occlusion | None = None
+    cast: Tiled | None = None
+    """None: there is no picture yet."""
 
 
 def light_table(light: Light) -> NDArray[np.float32]:
@@ -126,20 +154,31 @@ def shade(
     normal: NDArray[np.float32] | None,
     blockers: Blockers | None = None,
     patches: NDArray[np.int32] | None = None,
+    kept: KeptPicture | None = None,
 ) -> None:
     """Fills ``rgb`` [H, W, 3] and ``normal`` [H, W, 3], where given, from a rendered target.
 
     ``blockers`` keep light from ``rgb``.
     With ``patches`` [F] (`patches.smooth_patches`), target and view have twice the size of ``rgb``: pixels whose four
     samples see different patches, or a patch before itself, are averaged in linear light, all others shaded once.
+    With ``kept``, which is brought up to date, only what differs from the picture there is shaded: the same to the last
+    bit. It must be that of the image that ``target`` showed before.
     """
     samples = 1 if patches is None else 4
     no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)
     strength = light.occlusion if rgb is not None else 0.0
     cast = NO_BLOCKERS if rgb is None else tiled(blockers, view, target, factor=2 if samples == 4 else 1)
+    cast_changed, again, before = np.zeros(0, np.uint8), False, None
+    if kept is not None:
+        if kept.cast is not None:
+            cast_changed, again, before = changed_tiles(kept.cast, cast), True, kept.occlusion
+        kept.cast = cast._replace(rows=cast.rows.copy())
     if view.parallel and strength > 0:
         target = target._replace(inv_z=receded(view, target))
-    occlusion = occlude(view, target, samples) if strength > 0 else _NO_OCCLUSION
+    occlusion = occlude(view, target, samples, before=before) if strength > 0 else _NO_OCCLUSION
+    picture = no_rgb if rgb is None else rgb
+    if kept is not None:
+        picture, kept.occlusion = kept.rgb, occlusion
     _shade_image(
         geometry,
         surface,
@@ -152,11 +191,15 @@ def shade(
         occlusion,
         np.float32(strength),
         cast,
-        no_rgb if rgb is None else rgb,
+        cast_changed,
+        picture,
         no_normal if normal is None else normal,
         np.zeros(0, np.int32) if patches is None else patches,
         samples == 4,
+        again,
     )
+    if kept is not None and rgb is not None:
+        rgb[:] = picture
 
 
 @kernel(error_model="numpy", boundscheck=False)
@@ -172,10 +215,12 @@ def _shade_image(
     occlusion,
     strength,
     cast,
+    cast_changed,
     rgb,
     normal,
     patches,
     fine,
+    again,
 ):
     geometry, surface, target = borrowed(geometry), borrowed(surface), borrowed(target)
     cache, occlusion, cast = borrowed(cache), borrowed(occlusion), borrowed(cast)
@@ -189,6 +234,7 @@ def _shade_image(
     sample = np.zeros((6, 8), np.int32)
     coordinates = np.zeros((3, width + 8), np.float32)
     row = np.zeros(width, np.int32)
+    marks = np.full(width + 8, SHADED, np.uint8)
     near = np.zeros(width + 8, np.float32)
     owners, rays = np.zeros(width + 8, np.float32), np.zeros(RAY_WORDS, np.float32)
     scratch = np.zeros((SCRATCH_ROWS, 8), np.float32)
@@ -203,6 +249,8 @@ def _shade_image(
     pixel = (factor / fx, factor / fy)
     tiles_across = -(-width // TILE_X)
     for y in range(height):
+        if again and not mark_row(marks, target.tile_drawn, occlusion.changed, cast_changed, factor, y, width):
+            continue
         if fine:
             _fine_row_words(geometry, surface, target, patches, y, row)
         else:
@@ -215,7 +263,10 @@ def _shade_image(
         while x < width:
             word = row[x]
             end = x + 1
-            if word == _MIXED:
+            if word == _MIXED and not marks[x]:
+                pass
+            elif word == _MIXED:
+                marks[x] |= SHADED
                 strip[:3, x] = 0
                 for k in range(4):
                     sx, sy = 2 * x + (k & 1), 2 * y + (k >> 1)
@@ -233,9 +284,11 @@ def _shade_image(
                         if triangles[slot] != word:
                             set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
                             _tint(word, slot, cache, cast, target)
-                        _light_run(slot, cache, texture_at, u1, v1, 0.0, 0, 1, axes, light, block, coordinates, sample)
+                        _light_run(
+                            slot, cache, texture_at, u1, v1, 0.0, 0, 0, 1, axes, light, block, coordinates, sample
+                        )
                     else:
-                        _sky_run(u1, v1, 0.0, 0, 1, axes, light, block, sample)
+                        _sky_run(u1, v1, 0.0, 0, 0, 1, axes, light, block, sample)
                     left = light_left(occlusion, strength, x, y, target.inv_z[sy, sx]) if strength > 0 else 1.0
                     for a in range(3):
                         sample[a, 0] = int(min(sample[a, 0], _BRIGHTEST_SAMPLE) * left)
@@ -252,19 +305,29 @@ def _shade_image(
                 while end < width and row[end] == word:
                     end += 1
                 u, step = ((x + 0.5) * factor - cx) / fx, pixel[0]
-                if word >= 0:
-                    slot = slot_of(word)
-                    if triangles[slot] != word:
-                        set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
-                        _tint(word, slot, cache, cast, target)
-                    _light_run(slot, cache, texture_at, u, v, step, x, end, axes, light, block, coordinates, strip)
-                else:
-                    _sky_run(u, v, step, x, end, axes, light, block, strip)
+                low, high = x, end
+                if again:
+                    mark_run(marks, x, end)
+                    low, high = next_blocks(marks, x, x, end)
+                while low < end:
+                    if word >= 0:
+                        slot = slot_of(word)
+                        if triangles[slot] != word:
+                            set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
+                            _tint(word, slot, cache, cast, target)
+                        _light_run(
+                            slot, cache, texture_at, u, v, step, x, low, high, axes, light, block, coordinates, strip
+                        )
+                    else:
+                        _sky_run(u, v, step, x, low, high, axes, light, block, strip)
+                    low = high
+                    if again:
+                        low, high = next_blocks(marks, x, low, end)
             x = end
         if strength > 0:
             for x in range(width):
                 near[x] = target.inv_z[y * factor, x * factor] if row[x] != _MIXED else FAR_PADDING
-            dim_row(occlusion, strength, y, near, strip)
+            dim_row(occlusion, strength, y, near, strip, marks)
         if blocked:
             for k in range(tiles_across):
                 tile = tile_row + k
@@ -276,6 +339,8 @@ def _shade_image(
                     near[x] = cast.inv_z[y * factor, x * factor] if whole else 0.0
                     owners[x] = owner_of(cast, target, row[x]) if whole else -1.0
                 for x in range(begin, min(begin + TILE_X, width), 8):
+                    if not any_shaded(marks, x):
+                        continue
                     at, only = np.uintp(x * 4), owners[x]
                     for lane in range(1, 8):
                         only = only if owners[x + lane] == owners[x] else np.float32(-1)
@@ -285,8 +350,9 @@ def _shade_image(
                     )
         if rgb.size:
             for x in range(width):
-                for a in range(3):
-                    rgb[y, x, a] = byte_of_level[strip[a, x]]
+                if marks[x] & SHADED:
+                    for a in range(3):
+                        rgb[y, x, a] = byte_of_level[strip[a, x]]
         if normal.size:
             normals = strip.view(np.float32)
             for x in range(width):
@@ -354,8 +420,8 @@ def _tint(word, slot, cache, cast, target):
 
 # --- runs of pixels -------------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
-def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, block, coordinates, strip):
-    """Lights pixels begin..end of a strip, which see one triangle; the first pixel's ray is (u, v, 1)."""
+def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light, block, coordinates, strip):
+    """Lights pixels low..end of a strip, which see one triangle; the ray of the pixel ``begin`` is (u, v, 1)."""
     _, planes, attributes, levels = cache
     row_bytes = np.uintp(strip.shape[1] * 4)
     strip_at = np.uintp(strip.ctypes.data)
@@ -366,7 +432,7 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, blo
     for k in range(3):
         block[2 * k + 1] = planes[slot, k, 0] * step
         block[RAY + 2 * k + 1] = axes[k, 0] * step
-    for x in range(begin, end, 8):
+    for x in range(low, end, 8):
         first = u + step * (x - begin)
         for k in range(3):
             block[2 * k] = planes[slot, k, 0] * first + planes[slot, k, 1] * v + planes[slot, k, 2]
@@ -379,14 +445,14 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, blo
             light_coordinates_block(block_at, attributes_at, light_at, at, row_bytes, uv_at, coordinates_bytes)
     if level != NO_TEXTURE:
         levels_at, words_at = texture_at[0] + np.uintp(level * LEVEL_WORDS * 4), texture_at[1]
-        for x in range(begin, end, 8):
+        for x in range(low, end, 8):
             at, uv_at = strip_at + np.uintp(x * 4), coordinates_at + np.uintp(x * 4)
             detail = coordinates[LEVEL, x]  # the first pixel decides for all 8
             base = np.int32(detail + np.float32(ONE_LEVEL))
             blended = np.int32(detail - base > np.float32(ONE_LEVEL - 0.1))  # margin for the other pixels
             texture_block(at, row_bytes, uv_at, coordinates_bytes, base, blended, levels_at, words_at)
     if attributes[slot, GLOSS] > 0:
-        for x in range(begin, end, 8):
+        for x in range(low, end, 8):
             first = u + step * (x - begin)
             for k in range(3):
                 block[2 * k] = planes[slot, k, 0] * first + planes[slot, k, 1] * v + planes[slot, k, 2]
@@ -395,13 +461,13 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, blo
 
 
 @kernel_part(forceinline=True)
-def _sky_run(u, v, step, begin, end, axes, light, block, strip):
-    """Fills background pixels begin..end of a strip; the first pixel's ray is (u, v, 1)."""
+def _sky_run(u, v, step, begin, low, end, axes, light, block, strip):
+    """Fills background pixels low..end of a strip; the ray of the pixel ``begin`` is (u, v, 1)."""
     row_bytes = np.uintp(strip.shape[1] * 4)
     strip_at, block_at, light_at = np.uintp(strip.ctypes.data), np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
     for k in range(3):
         block[RAY + 2 * k + 1] = axes[k, 0] * step
-    for x in range(begin, end, 8):
+    for x in range(low, end, 8):
         first = u + step * (x - begin)
         for k in range(3):
             block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]

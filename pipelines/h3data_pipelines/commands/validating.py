@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -13,13 +14,16 @@ import tyro
 
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.progress import progress
-from h3data.recording.episodes import StoredEpisode
+from h3data.recording import Recording
+from h3data.recording.episodes import StoredEpisode, read_ahead
 from h3data_pipelines.command import JsonFlag, Outcome
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
 _TOGETHER = 16
 """Episodes of a shard: some tenths of a second."""
+_STEPS_TOGETHER = 10_000
+"""Steps of a dataset that are read at once."""
 _SHOWN = 4
 """Findings per kind and recording in the text; JSON has all."""
 
@@ -74,13 +78,13 @@ class Validate:
         data: dict[str, Any] = {"recordings": len(rows), "failed": failed, **counts, "episodes": rows}
         return Outcome(text=_text(rows, failed), data=data, exit_code=1 if failed else 0)
 
-    def row(self, source: StoredEpisode, library: Any, *, alone: bool) -> dict[str, Any]:
-        """What is found in one recording."""
+    def row(self, source: StoredEpisode, read: Callable[[], Recording], library: Any, *, alone: bool) -> dict[str, Any]:
+        """What is found in one recording, which ``read`` returns."""
         from h3data.replay.validation import Finding, validate_recording
 
         steps = 0
         try:
-            recording = source.read()
+            recording = read()
             steps = len(recording)
             findings = validate_recording(recording, assets=library)
             if self.parts and not any(finding.severity == "error" for finding in findings):  # else it may not be posed
@@ -109,7 +113,11 @@ def validate_part(command: Validate, part: EpisodePart) -> list[dict[str, Any]]:
     from h3data.habitat.asset_library import AssetLibrary
 
     library = AssetLibrary(command.assets)
-    return [command.row(source, library, alone=part.count == 1) for source in part.sources()]
+    sources = part.sources()
+    return [
+        command.row(source, read, library, alone=part.count == 1)
+        for source, read in zip(sources, read_ahead(sources, most_steps=_STEPS_TOGETHER), strict=True)
+    ]
 
 
 def _lost(part: EpisodePart, error: H3DataError) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from h3data.mesh.mesh import Mesh
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.camera import Projection
 from h3data.render.raster.cpu import CpuEngine
+from h3data.render.raster.drawings import Drawings
 from h3data.render.raster.raster_draw import hidden
 from tests.examples import examples
 
@@ -269,7 +270,7 @@ def test_padding_never_looks_empty_to_the_occlusion_test(size):
         [mesh_of(np.float64([[[-99, -99, 3], [99, -99, 3], [0, 140, 3]]]))], [RenderInstance(0, np.eye(4))]
     )
     engine, camera = CpuEngine(scene, light=Light()), pinhole(*size, hfov_deg=60)
-    _, target = engine._draw(camera, engine.worlds[0], {})
+    target = engine._draw(camera, engine.worlds[0], Drawings())[1].target
     rows, columns = target.tile_inv_z.shape
     address, row_bytes = np.uintp(target.inv_z.ctypes.data), np.uintp(target.inv_z.shape[1] * 4)
     for depth, covered in ((3.1, True), (2.9, False)):

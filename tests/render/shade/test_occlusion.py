@@ -13,6 +13,7 @@ from h3data.geometry import pose_to_matrix
 from h3data.mesh.mesh import Mesh
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.raster.cpu import CpuEngine
+from h3data.render.raster.drawings import Drawings
 from h3data.render.raster.raster import Target, View
 from h3data.render.shade.occlusion import EDGE, EDGE_ROWS, Occlusion, light_left, occlude
 
@@ -70,7 +71,8 @@ def drawn_target(drawn: Renderer, view: Camera) -> tuple[View, Target]:
     """The view as kernels read it, and its buffers."""
     engine = drawn._engine
     assert isinstance(engine, CpuEngine)
-    return engine._draw(view, engine.worlds[0], {})
+    seen, drawing, _ = engine._draw(view, engine.worlds[0], Drawings())
+    return seen, drawing.target
 
 
 def amounts(drawn: Renderer, view: Camera) -> Occlusion:

@@ -1,0 +1,97 @@
+"""`Drawings`: the buffers of one thread, and what they show, so that a camera that stands still draws only what has changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.render.raster.raster import Target, View, new_target
+from h3data.render.shade.shading import KeptPicture
+
+MOST_STILL = 8
+"""Cameras that stand still for which a thread keeps buffers."""
+_REMEMBERED = 32
+"""Views that are remembered, to see that a camera stands still; after so many images without it, it loses its buffers."""
+_SIZES = 4
+"""Image sizes for which a thread keeps buffers for all cameras that move."""
+
+
+class Shown(NamedTuple):
+    """The state of a world as far as pictures depend on it."""
+
+    matrix: NDArray[np.float64]
+    """Mesh to world of every instance, shape [I, 3, 4]."""
+    visible: NDArray[np.bool_]
+    """Whether the camera sees it, shape [I]."""
+    vertices: dict[int, NDArray[np.float32]]
+    """Vertices of the deformed meshes."""
+    tints: NDArray[np.float32]
+    """`Blockers.tints`, shape [I, 4]; 1 without blockers."""
+
+
+@dataclass(eq=False)
+class Drawing:
+    """A target, and what it shows."""
+
+    target: Target
+    shown: Shown | None = None
+    """None: nothing that the next image could begin with."""
+    picture: KeptPicture | None = None
+    """The picture of what the target shows."""
+    last_used: int = 0
+
+    def changed(self, now: Shown, mesh: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """The instances that differ from those shown, shape [I], of which ``mesh`` [I] are the meshes; [0] for all of them."""
+        before = self.shown
+        if before is None:
+            return np.zeros(0, np.bool_)
+        changed = before.visible != now.visible
+        changed |= (before.matrix.view(np.int64) != now.matrix.view(np.int64)).any((1, 2))  # NaN is equal to itself
+        changed |= (before.tints != now.tints).any(1)
+        for number, vertices in now.vertices.items():
+            earlier = before.vertices.get(number)
+            if earlier is not vertices and not (earlier is not None and np.array_equal(earlier, vertices)):
+                changed |= mesh == number
+        return changed
+
+
+@dataclass(eq=False)
+class Drawings:
+    """Drawings of one thread by view: one for each camera that stands still, and one for each size that all others share."""
+
+    still: dict[bytes, Drawing] = field(default_factory=dict)
+    moving: dict[tuple[int, int], Drawing] = field(default_factory=dict)
+    _seen: dict[bytes, int] = field(default_factory=dict)
+    _count: int = 0
+
+    def of(self, key: bytes, view: View, *, draws: int, instances: int) -> Drawing:
+        """The drawing for an image. ``key`` says what has to be the same for two images to differ only by what has changed."""
+        self._count += 1
+        standing = key in self._seen
+        self._seen.pop(key, None)
+        self._seen[key] = self._count
+        while len(self._seen) > _REMEMBERED:
+            del self._seen[next(iter(self._seen))]
+        if key in self.still:
+            self.still[key].last_used = self._count
+            return self.still[key]
+        size = (view.width, view.height)
+        if standing and self._has_room():
+            drawing = Drawing(new_target(*size, draws=draws, instances=instances), last_used=self._count)
+            self.still[key] = drawing
+            return drawing
+        drawing = self.moving.pop(size, None) or Drawing(new_target(*size, draws=draws, instances=instances))
+        drawing.shown = None
+        self.moving[size] = drawing  # most recently used last
+        while len(self.moving) > _SIZES:
+            del self.moving[next(iter(self.moving))]
+        return drawing
+
+    def _has_room(self) -> bool:
+        for key, drawing in list(self.still.items()):
+            if drawing.last_used < self._count - _REMEMBERED:
+                del self.still[key]
+        return len(self.still) < MOST_STILL

@@ -1,0 +1,96 @@
+"""Which pixels of a row are shaded again, for a camera that stands still.
+
+A pixel's colour depends on what it and its run of equal pixels show, on the occlusion around it, and on the capsules of its
+tile. Runs are shaded in blocks of 8 pixels from their first one, so that a pixel is rounded as before only where its run
+begins as before.
+"""
+
+from __future__ import annotations
+
+from h3data.kernels import kernel_part
+from h3data.render.shade.blockers import TILE_X, TILE_Y
+
+SEEN, LIT, SHADED = 1, 2, 4
+"""Bits of a mark: what is seen may differ from the picture before, only its light may, and: it is shaded."""
+
+
+@kernel_part()
+def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
+    """Fills the marks of a row [W + 8] of the picture; returns whether there are any.
+
+    ``drawn`` are the tiles of 8 pixels of the target, which has ``factor`` times the picture's size, that were drawn again;
+    ``occlusion_changed`` marks pixels of half the resolution, of which each lights its neighbours; ``cast_changed`` the
+    tiles of capsules.
+    """
+    some = False
+    for x in range(width + 8):
+        marks[x] = 0
+    each = 8 // factor
+    row = drawn[y * factor // 8]
+    for tile in range(len(row)):
+        if row[tile]:
+            some = True
+            for x in range(tile * each, min((tile + 1) * each, width)):
+                marks[x] = SEEN
+    for lower in range(2):
+        coarse = (y + lower) // 2
+        if coarse < len(occlusion_changed):
+            line = occlusion_changed[coarse]
+            for c in range(len(line)):
+                if line[c]:
+                    some = True
+                    for x in range(max(2 * c - 1, 0), min(2 * c + 2, width)):
+                        marks[x] |= LIT
+    across = -(-width // TILE_X)
+    for k in range(across if len(cast_changed) else 0):
+        if cast_changed[y // TILE_Y * across + k]:
+            some = True
+            for x in range(k * TILE_X, min((k + 1) * TILE_X, width)):
+                marks[x] |= LIT
+    return some
+
+
+@kernel_part()
+def mark_run(marks, begin, end):
+    """Marks the pixels of a run that may have belonged to another run before."""
+    other = begin > 0 and (marks[begin - 1] & SEEN) != 0
+    for x in range(begin, end):
+        if marks[x] & SEEN:
+            other = True
+        if other:
+            marks[x] |= LIT
+
+
+@kernel_part()
+def next_blocks(marks, begin, low, end):
+    """The next blocks of 8 from ``begin`` on with marked pixels, from ``low`` on: their first pixel and end, marked as shaded.
+
+    Both are ``end`` if there are none.
+    """
+    while low < end and not _any(marks, low, min(low + 8, end)):
+        low += 8
+    low = min(low, end)
+    high = low
+    while high < end and _any(marks, high, min(high + 8, end)):
+        high += 8
+    high = min(high, end)
+    for x in range(low, high):
+        marks[x] |= SHADED
+    return low, high
+
+
+@kernel_part()
+def _any(marks, low, high):
+    found = False
+    for x in range(low, high):
+        found |= marks[x] != 0
+    return found
+
+
+@kernel_part(forceinline=True)
+def any_shaded(marks, x):
+    """Whether one of 8 pixels is shaded."""
+    found = False
+    for k in range(x, x + 8):
+        found |= (marks[k] & SHADED) != 0
+    return found
