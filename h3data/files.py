@@ -109,4 +109,11 @@ def part_file(
     except BaseException as error:
         if not isinstance(error, kept_after):
             part.unlink(missing_ok=True)
+        if isinstance(error, OSError) and (error.filename is None or Path(os.fsdecode(error.filename)) == part):
+            raise _of_file(error, final) from None
         raise
+
+
+def _of_file(error: OSError, path: Path) -> OSError:
+    """The error as one of the file that was asked for, not of the temporary one, of which the user knows nothing."""
+    return OSError(error.errno, error.strerror or str(error), str(path)) if error.errno else error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,16 @@ def test_two_writers_of_a_shared_file_do_not_meet(tmp_path: Path):
             second.write_text("second")
         first.write_text("first")
     assert path.read_text() == "first"
+
+
+@pytest.mark.parametrize("names_it", [True, False])
+def test_the_operating_system_names_the_file_that_was_asked_for(tmp_path: Path, names_it: bool):
+    with pytest.raises(OSError, match="No space left") as caught, part_file(tmp_path / "a.rrd") as part:
+        raise OSError(errno.ENOSPC, "No space left on device", *([str(part)] if names_it else []))
+    assert caught.value.filename == str(tmp_path / "a.rrd")
+    with pytest.raises(FileNotFoundError) as other, part_file(tmp_path / "a.rrd"):
+        (tmp_path / "source").read_bytes()
+    assert other.value.filename == str(tmp_path / "source")
 
 
 def test_a_missing_folder_is_named(tmp_path: Path):

@@ -115,8 +115,11 @@ def _appearing_whole(root: AnyPath) -> Iterator[AnyPath]:
     try:
         yield part
         part.replace(root)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(part, ignore_errors=True)
+        if isinstance(error, InputError) and isinstance(error.__cause__, OSError):
+            why = error.__cause__.strerror or error.__cause__
+            raise InputError(f"Could not write the dataset ({why}); nothing of it is kept: {root}") from error
         raise
 
 

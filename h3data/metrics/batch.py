@@ -26,6 +26,7 @@ from h3data.metrics.reading import chunks_of, read_chunk, read_log
 from h3data.metrics.registry import profile_for, profiles_named
 from h3data.metrics.requirements import UnmeasurableError
 from h3data.metrics.table import MetricsTable, tabulate
+from h3data.progress import progress
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.finding import find_sources
 from h3data.recording.storage import AnyPath, RemotePath
@@ -207,7 +208,8 @@ def _measured(
     sources = list(find_sources(paths))
     if not sources:
         raise InputError("Expected at least one recording (.mcap) or dataset.")
-    results = list(measure_sources(sources, profile, workers=workers, spread=spread))
+    measured = measure_sources(sources, profile, workers=workers, spread=spread)
+    results = list(progress(measured, desc="measure", unit="episode", delay=1.0, leave=False))
     left_out = [result for result in results if isinstance(result, LeftOut)]
     if left_out and len(left_out) == len(results):
         raise left_out[0].error

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Annotated, Any, Literal, Protocol, TypeVar
 
 import tyro
@@ -108,6 +109,7 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"Cannot create the output folder ({error.strerror}): {folder}") from None
+    _try_writing(folder, folder)
     return folder
 
 
@@ -126,7 +128,18 @@ def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
             path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"Cannot create the folder of the output file ({error.strerror}): {path}") from None
+    if isinstance(path, Path):
+        _try_writing(path.parent, path)
     return path
+
+
+def _try_writing(folder: Path, asked: Path) -> None:
+    """Refuses a folder in which no file can be made, before work is done for what was asked for."""
+    try:
+        with NamedTemporaryFile(dir=folder, prefix=".h3data-"):
+            pass
+    except OSError as error:
+        raise InputError(f"Cannot write here ({error.strerror or error}). Choose another -o: {asked}") from None
 
 
 def open_episode(path: AnyPath) -> Recording:

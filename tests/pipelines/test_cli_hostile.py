@@ -28,6 +28,7 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.recording.mcap import part as mcap_part
+from h3data_pipelines import command as command_parts
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import claim_folder, remove_dataset, unfinished_dataset, uninterrupted
 from h3data_pipelines.commands import generate
@@ -66,6 +67,28 @@ def test_refusals_of_the_operating_system_are_one_line(tmp_path: Path, capsys: p
         (tmp_path / "file").write_text("")
         for arguments in (["metrics", path], ["import", path, "-o", tmp_path], ["rerender", path, "-o", tmp_path]):
             assert "error" in run_json(capsys, *arguments, code=2)
+
+
+@pytest.mark.parametrize("words", ["report DS -o OUT/r.html", "view DS#0 -o OUT/r.rrd", "generate wander -o OUT/ds"])
+def test_the_place_of_the_output_is_tried_first(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def read_only(**_: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(tmp_path / "tmp123"))
+
+    def worked(*_: object, **__: object) -> None:
+        raise AssertionError("it worked before it tried")
+
+    monkeypatch.setattr(command_parts, "NamedTemporaryFile", read_only)
+    monkeypatch.setattr("h3data_viewers.html_report.report.write_report", worked)
+    monkeypatch.setattr("h3data_viewers.write_rrd", worked, raising=False)
+    with DatasetWriter(tmp_path / "ds") as writer:
+        writer.add(simple_recording())
+    words = words.replace("DS", str(tmp_path / "ds")).replace("OUT", str(tmp_path))
+    words = words.replace(f"{tmp_path}/ds", f"{tmp_path}/new") if words.startswith("generate") else words
+    asked = words.split()[-1]
+    said = run_json(capsys, *words.split(), code=2)["error"]
+    assert said == f"Cannot write here (Read-only file system). Choose another -o: {asked}"
 
 
 def test_a_full_disk_is_one_line(

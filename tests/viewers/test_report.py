@@ -66,6 +66,18 @@ def report(runs: dict[str, Path]) -> Report:
     return make_report(runs.values(), pictures=2)
 
 
+def test_a_report_shows_how_far_it_is(
+    runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("h3data.progress.LINE_EVERY_S", 0.0)
+    make_report(runs.values(), pictures=2)
+    said = capsys.readouterr().err
+    assert "read and measure: 3 of 6 episodes" in said
+    assert "picture episodes: 1 of 2 episodes" in said
+    assert main(["metrics", str(runs[POLICIES[0]])]) == 0
+    assert "measure: 3 episodes" in capsys.readouterr().err
+
+
 def write(folder: Path, recordings: list[Recording]) -> Path:
     with DatasetWriter(folder) as writer:
         for recording in recordings:

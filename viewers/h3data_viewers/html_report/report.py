@@ -21,6 +21,7 @@ from h3data.files import part_file
 from h3data.metrics import StudyModel
 from h3data.metrics.batch import Spread
 from h3data.plugins import own_version
+from h3data.progress import progress
 from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.report_charts import (
     distribution_charts,
@@ -300,7 +301,8 @@ def _highlighted(
     replays: ReplayFiles | None,
     folder: Path | None,
 ) -> Part:
-    cards = "".join(highlight_card(highlight, plans, assets, people, light, replays, folder) for highlight in chosen)
+    shown = progress(chosen, desc=f"picture episodes{tail}", unit="episode", leave=False)
+    cards = "".join(highlight_card(highlight, plans, assets, people, light, replays, folder) for highlight in shown)
     ranking = ", then by ".join(ranked_by(chosen[0].run.profile))
     lead = (
         f"<p class=quiet>Ranked by {ranking}. Plans: the robot in the colour of its run, the person grey; a ring is the start, "

@@ -22,6 +22,7 @@ from h3data.metrics import MetricsTable, Profile, tabulate
 from h3data.metrics.batch import Part, Spread, parts_of
 from h3data.metrics.episode import for_each_partner, shared_by
 from h3data.metrics.registry import profile_for
+from h3data.progress import progress
 from h3data.recording import Recording, open_recording
 from h3data.recording.finding import find_sources
 from h3data_viewers.html_report.report_episode import ReportEpisode
@@ -145,8 +146,11 @@ class _Gathered:
             of_root = parts_of(list(find_sources([root])))
             parts += of_root
             places += [place] * len(of_root)
+        episodes = sum(1 if part.episodes is None else len(part.episodes) for part in parts)
+        bar = progress(total=episodes, desc="read and measure", unit="episode", delay=1.0, leave=False)
         for place, found in zip(places, spread(read_part, parts), strict=True):
             for each in found:
+                bar.update(1)
                 self.count += 1
                 if isinstance(each, Unread):
                     self.unmeasured.setdefault(each.reason, []).append(each.name)
@@ -160,6 +164,7 @@ class _Gathered:
                     if shared_by(each.info):
                         self._note_evaluated(place, episode)
                     self._group(place, roots[place], episode, profile)
+        bar.close()
         self._drop_parts_of_populations()
 
     def name_population(self, zsc: Sequence[str]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.progress import progress
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
 from h3data_viewers.rerun.entities import entity_part
@@ -53,7 +54,13 @@ def rendered_feed(replay: Replay, name: str) -> CameraFeed:
     shrink = min(1.0, STILL_WIDTH / track.camera.width)
     small = replace(track, camera=scaled(track.camera, shrink))
     steps = range(0, len(replay), STILL_EVERY)
-    frames = replay.frames([small], steps, outputs=("rgb",))
+    frames = progress(
+        replay.frames([small], steps, outputs=("rgb",)),
+        total=len(steps),
+        desc=f"render {name}",
+        unit="frame",
+        leave=False,
+    )
     stills = ((step, images[0]["rgb"]) for step, images in frames)
     return CameraFeed(camera=track.camera, poses=track.poses, stills=stills)
 
