@@ -6,6 +6,7 @@ import ast
 import inspect
 import json
 import re
+import runpy
 import shlex
 import tomllib
 from pathlib import Path
@@ -160,6 +161,19 @@ def test_the_glossary_holds_every_metric_of_the_paper() -> None:
 def test_the_docs_hold_commands() -> None:
     assert sum(len(commands(page)) for page in PAGES) > 200
     assert sum(len(quoted(page)) for page in PAGES) > 100
+
+
+def test_helps_on_the_site_fit_their_column() -> None:
+    conf = runpy.run_path(str(DOCS / "conf.py"))
+    seen = 0
+    for name in ("generate", "view", "doctor"):
+        lines = conf["help_text"]([name]).splitlines()
+        assert max(map(len, lines)) <= conf["HELP_COLUMNS"], name
+        assert any(line.strip().startswith("--json") for line in lines), "options keep lines of their own"
+        seen += sum(re.fullmatch(r"Examples:|    h3data .*", line) is not None for line in lines)
+    assert seen > 10
+    filled = conf["wrapped"]("usage: x\n\nwords that\nwere broken\n\n options\n -----\n  --a  one\n")
+    assert filled == "usage: x\n\nwords that were broken\n\n options\n  --a  one\n"
 
 
 def test_examples_of_help_exist() -> None:
