@@ -269,11 +269,7 @@ class Registry(Generic[T]):
         return (
             f"A file names the {self.what} {name!r}, which is neither built in nor installed; using it would run the Python "
             f"module {module}. Hint: if you know and trust that module, "
-            + (
-                f"run: {command}"
-                if command
-                else f"call h3data.plugins.trust({module!r}) first, or pass --trust {module}."
-            )
+            + (f"run: {command}" if command else f"call h3data.plugins.trust({module!r}) first.")
         )
 
     def _conflict(self, name: str, claims: list[Plugin]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 r"""C0 and C1 control characters except tab and newline, and the overrides of writing direction (CVE-2021-42574)."""
@@ -16,3 +17,9 @@ def printable(text: str) -> str:
 def counted(count: int, noun: str) -> str:
     """``1 episode``, ``2 episodes``."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def aligned(lines: Sequence[Sequence[str]]) -> str:
+    """Rows of cells as text with columns of equal width."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip() for line in lines)

@@ -141,7 +141,9 @@ def export_gfx_replay(recordings: Iterable[Recording], request: ExportRequest) -
         agent.model for agent in recording.agents
     )
     if has_own_meshes and not request.force and folder.is_dir() and any(folder.iterdir()):
-        raise InputError(f"The folder for assets is not empty. Use --force to overwrite, or another -o: {folder}")
+        raise InputError(
+            f"The folder for assets is not empty. Use force=True to overwrite it, or another name: {folder}"
+        )
     replay = Replay(recording, assets=request.assets, people=request.people, detail=request.person_detail == "full")
     files = write_gfx_replay(recording, posed_parts(replay), request.out, cameras=posed_cameras(replay))
     size = files.path.stat().st_size

@@ -107,7 +107,9 @@ def _appearing_whole(root: AnyPath) -> Iterator[AnyPath]:
         yield root
         return
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
-        raise InputError(f"The output folder exists and is not empty. Use --force to overwrite, or another -o: {root}")
+        raise InputError(
+            f"The output folder exists and is not empty. Use force=True to overwrite it, or another name: {root}"
+        )
     part = root.with_name(f"{root.name}.part")
     shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
     try:

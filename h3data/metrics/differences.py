@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError, did_you_mean
 from h3data.metrics.metric import Metric
-from h3data.metrics.table import MetricsTable, aligned, legend
+from h3data.metrics.table import MetricsTable, legend
 from h3data.stats import PAdjustment, PairedComparison, adjust_p_values, compare_paired
 from h3data.stats.paired_tests import some_of
+from h3data.terminal import aligned
 
 _SHOWN = 3
 """Changed episodes that the text names per metric."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -9,21 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.metrics.metric import Metric
-from h3data.recording.records import STEP_NS
+from h3data.metrics.metric import ARROWS, Metric
+from h3data.recording.records import STEP_NS, notebook
+from h3data.terminal import aligned
 
 NEVER = -1
 """Row of a moment that did not happen."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class EpisodeMetrics:
     """The metrics of one episode."""
 
     episode_id: str
     uid: str
     profile: str
-    metrics: tuple[Metric, ...] = field(repr=False)
+    metrics: tuple[Metric, ...]
     """What was measured, in the order of ``values``."""
     values: Mapping[str, float]
     """Values by metric name; NaN = this recording cannot tell, see ``notes``."""
@@ -68,6 +70,35 @@ class EpisodeMetrics:
         """Row of the first recorded contact; -1 = none known."""
         return self.moments.get("collision", NEVER)
 
+    def _repr_html_(self) -> str:
+        return notebook().metrics_html(self)
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name}={value:.3g}" for name, value in self.values.items())
+        return f"EpisodeMetrics({self.episode_id!r}, {self.profile!r}: {values})"
+
+    def __str__(self) -> str:
+        return self.to_text()
+
+    def to_text(self) -> str:
+        """An aligned table with a line per metric, followed by the notes."""
+        by_text: dict[str, list[str]] = {}
+        for name, text in self.notes.items():
+            by_text.setdefault(text, []).append(name)
+        assumed = assumed_task([self])
+        lines = [*([assumed] if assumed else []), *note_lines(by_text), *deviation_lines([self.protocol_deviations])]
+        return "\n".join([aligned(self.to_rows()), *lines])
+
+    def to_rows(self) -> list[list[str]]:
+        """The cells of the table, its head first, then a row per metric."""
+        rows = [["metric", "value", "unit", "", "what"]]
+        for metric in self.metrics:
+            value = self.values[metric.name]
+            number = "undefined" if np.isnan(value) else f"{value:.3f}"
+            unit = "" if metric.unit == "1" else metric.unit
+            rows.append([metric.name, number, unit, ARROWS[metric.direction], metric.title])
+        return rows
+
     def to_dict(self) -> dict[str, Any]:
         """The measurement as JSON types; NaN and infinities become None."""
         return {
@@ -89,6 +120,35 @@ class EpisodeMetrics:
             "notes": dict(self.notes),
             "set_up": self.protocol_deviations,  # the key that stored results have
         }
+
+
+def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
+    """A sentence on recordings of one profile that do not say their task, and what else measures them; empty without any."""
+    tasks = [episode.task for episode in episodes if episode.task_is_assumed]
+    if not tasks:
+        return ""
+    which = (
+        f"{len(tasks)} gfx-replays, which do not say their"
+        if len(tasks) > 1
+        else "a gfx-replay, which does not say its"
+    )
+    return (
+        f"Taken for {tasks[0]}: {which} task. Of another task these numbers mean nothing. "
+        "Hint: h3data metrics --profile field measures any two agents."
+    )
+
+
+def deviation_lines(deviations: Iterable[str]) -> list[str]:
+    """Lines about episodes whose rules differ from the paper's (`h3data.metrics.paper.protocol`), most frequent first."""
+    counted = Counter(text for text in deviations if text)
+    lines = [f"  {text}: {times} episode{'s' if times != 1 else ''}" for text, times in counted.most_common()]
+    return ["Rules that differ from the paper's, so its numbers do not compare:", *lines] if lines else []
+
+
+def note_lines(notes: Mapping[str, Iterable[str]]) -> list[str]:
+    """Lines about notes, each with the names of its metrics; none without any."""
+    lines = [f"  {', '.join(names)}: {text}" for text, names in notes.items()]
+    return ["Notes", *lines] if lines else []
 
 
 def shared_by(info: Mapping[str, Any]) -> tuple[str, ...]:

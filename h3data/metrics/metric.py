@@ -17,6 +17,10 @@ Series = Mapping[str, NDArray[Any]]
 """Per-row arrays [T] by name: flags (bool) or quantities (float64)."""
 
 
+ARROWS: dict[Direction, str] = {"higher": "up", "lower": "down", "neither": ""}
+"""The better direction in tables."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Metric:
     """One metric of one profile."""

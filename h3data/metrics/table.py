@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.metrics.episode import EpisodeMetrics, for_each_partner
-from h3data.metrics.metric import Metric
+from h3data.metrics.episode import EpisodeMetrics, assumed_task, deviation_lines, for_each_partner, note_lines
+from h3data.metrics.metric import ARROWS, Metric
 from h3data.metrics.registry import find_profile, measure
 from h3data.recording.records import Recording, notebook
 from h3data.stats import bootstrap_intervals, wilson_interval
+from h3data.terminal import aligned
 
 _NAMED = 4
 """Episodes named for each reason why some are left out."""
@@ -95,7 +96,6 @@ class MetricsTable:
     def to_rows(self, *, confidence: float = 0.95) -> list[list[str]]:
         """The cells of the table, its head first, then a row per metric."""
         records = {m.name: m for m in self.metrics}
-        arrows = {"higher": "up", "lower": "down", "neither": ""}
         lines = [["metric", "mean", f"{100 * confidence:g}% interval", "unit", "episodes", "", "what"]]
         for name, s in self.summary(confidence=confidence).items():
             metric = records[name]
@@ -103,7 +103,7 @@ class MetricsTable:
             mean = "undefined" if np.isnan(s.mean) else f"{s.mean:.3f}"
             unit = "" if metric.unit == "1" else metric.unit
             of = f"{s.count}" if s.count == s.episodes else f"{s.count} of {s.episodes}"
-            lines.append([name, mean, interval, unit, of, arrows[metric.direction], metric.title])
+            lines.append([name, mean, interval, unit, of, ARROWS[metric.direction], metric.title])
         return lines
 
     def to_dict(self, *, confidence: float = 0.95) -> dict[str, Any]:
@@ -136,16 +136,12 @@ class MetricsTable:
         return [line] if line else []
 
     def _note_lines(self) -> list[str]:
-        by_text: dict[tuple[str, int], list[str]] = {}
+        by_text: dict[str, list[str]] = {}
         for name, texts in self.notes().items():
             for text, times in texts.items():
-                by_text.setdefault((text, times), []).append(name)
-        lines = []
-        for (text, times), names in by_text.items():
-            lines.append(
-                f"  {', '.join(names)}: {text}" + (f" ({times} of {len(self)} episodes)" if len(self) > 1 else "")
-            )
-        return ["Notes", *lines] if lines else []
+                of = f" ({times} of {len(self)} episodes)" if len(self) > 1 else ""
+                by_text.setdefault(text + of, []).append(name)
+        return note_lines(by_text)
 
     def _left_out_lines(self) -> list[str]:
         lines = []
@@ -200,29 +196,6 @@ def summarize_all(
     }
 
 
-def assumed_task(episodes: Iterable[EpisodeMetrics]) -> str:
-    """A sentence on recordings of one profile that do not say their task, and what else measures them; empty without any."""
-    tasks = [episode.task for episode in episodes if episode.task_is_assumed]
-    if not tasks:
-        return ""
-    which = (
-        f"{len(tasks)} gfx-replays, which do not say their"
-        if len(tasks) > 1
-        else "a gfx-replay, which does not say its"
-    )
-    return (
-        f"Taken for {tasks[0]}: {which} task. Of another task these numbers mean nothing. "
-        "Hint: h3data metrics --profile field measures any two agents."
-    )
-
-
-def deviation_lines(deviations: Iterable[str]) -> list[str]:
-    """Lines about episodes whose rules differ from the paper's (`h3data.metrics.paper.protocol`), most frequent first."""
-    counted = Counter(text for text in deviations if text)
-    lines = [f"  {text}: {times} episode{'s' if times != 1 else ''}" for text, times in counted.most_common()]
-    return ["Rules that differ from the paper's, so its numbers do not compare:", *lines] if lines else []
-
-
 def measure_many(recordings: Iterable[Recording], profile: str | None = None) -> MetricsTable:
     """Measures every recording, one at a time, so that only one is in memory; by default by the profile of its task."""
     measured = (
@@ -264,12 +237,6 @@ def tabulate(
 def legend(metrics: Iterable[Metric]) -> str:
     """The names of metrics spelled out in one line: ``S: finding success; CR: collision rate.``"""
     return "; ".join(f"{m.name}: {m.title[:1].lower()}{m.title[1:]}" for m in metrics) + "."
-
-
-def aligned(lines: Sequence[Sequence[str]]) -> str:
-    """Rows of cells as text with columns of equal width."""
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
 def _check_unique(rows: Sequence[EpisodeMetrics]) -> None:

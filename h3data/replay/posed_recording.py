@@ -22,7 +22,7 @@ from h3data.habitat.asset_library import AssetLibrary
 from h3data.plugins import names_from_data
 from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.recording.records import JOINTS
-from h3data.render.light.sources import LightMode
+from h3data.render.light.sources import LightMode, check_light
 from h3data.replay.link_poses import LinkPoses
 from h3data.replay.recorded_robots import check_recorded_robots
 from h3data.replay.records import (
@@ -74,8 +74,7 @@ class PosedRecording:
         self.detail = detail
         self.people: PeopleStyle = people
         self.stepping = stepping
-        if light not in get_args(LightMode):
-            raise InputError(f"Unknown light {light!r}. Expected one of: {', '.join(get_args(LightMode))}.")
+        check_light(light)
         self.light: LightMode = light
         self.library = assets if isinstance(assets, AssetLibrary) else AssetLibrary([Path(p) for p in assets or ()])
         if isinstance(source := recording.episode.info.get("source"), Mapping):

@@ -95,6 +95,7 @@ def evaluate(
     human_walk: WalkOption | None = None,
     human_speed: float | None = None,
     max_steps: int | None = None,
+    light: LightMode | None = None,
     workers: int = 1,
     executor: str = "local",
     keep: bool = False,
@@ -322,7 +323,8 @@ def sync(source: AnyPath, target: AnyPath, *, quick: bool = False, force: bool =
 
 def _result(command: type[Command], options: dict[str, Any], *, several: tuple[str, ...] = ()) -> Any:
     """Runs a command with options as Python has them: paths as text, lists instead of tuples, one path for several."""
-    from h3data_pipelines.options import options_of
+    from h3data.errors import H3DataError
+    from h3data_pipelines.options import in_python_words, options_of
 
     values: dict[str, Any] = {}
     for option in options_of(command):
@@ -337,4 +339,9 @@ def _result(command: type[Command], options: dict[str, Any], *, several: tuple[s
             values[option.field] = Path(str(value)) if option.kind is Path else value
         else:
             values[option.field] = tuple(map(Path, map(str, value)) if option.kind is Path else value)
-    return command(**values).run().result
+    try:
+        return command(**values).run().result
+    except (H3DataError, KeyboardInterrupt) as error:
+        if error.args:
+            error.args = (in_python_words(str(error), command), *error.args[1:])
+        raise

@@ -13,9 +13,12 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from h3data.terminal import printable
+
+if TYPE_CHECKING:
+    from h3data_pipelines.command import Command
 
 ABOUT = """Simulate people and robots sharing a home, record everything, and render, measure and inspect it again."""
 
@@ -47,9 +50,11 @@ def _run(args: list[str]) -> int:
     from h3data.errors import H3DataError  # here, so that Ctrl-C during these slow imports is caught too
     from h3data.recording.storage import masked
     from h3data_pipelines.commands.table import COMMANDS
+    from h3data_pipelines.options import in_shell_words
     from h3data_pipelines.parsing import parse
 
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
+    command: Command | None = None
     try:
         invocation = parse(args, COMMANDS, about=ABOUT)
         command = invocation.command
@@ -58,7 +63,7 @@ def _run(args: list[str]) -> int:
     except BrokenPipeError:
         raise
     except (H3DataError, OSError, MemoryError) as error:
-        message = masked(_message(error))
+        message = masked(_message(error) if command is None else in_shell_words(_message(error), type(command)))
         _complain(f"error: {message}")
         if "--json" in args:
             _print(json.dumps({"error": message}))

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Protocol, TypeVar
 import tyro
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
-from h3data.errors import InputError
+from h3data.errors import H3DataError, InputError
 from h3data.files import part_file
 from h3data.recording import Recording
 from h3data.recording.storage import AnyPath, RemotePath, local, remove_tree
@@ -86,17 +86,24 @@ class Group:
     commands: Mapping[str, type[Command]]
 
 
-def claim_folder(folder: P, *, force: bool) -> P:
-    """Creates an output folder; an `InputError` if it already has contents, unless ``force``. Object stores need no folders."""
-    if isinstance(folder, RemotePath):
-        if any(folder.iterdir()) and not force:
-            raise InputError(f"The output folder is not empty. Use --force to overwrite, or another -o: {folder}")
-        return folder
-    local(folder)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"The output folder is a file. Choose another with -o: {folder}")
-    if folder.is_dir() and any(folder.iterdir()) and not force:
+def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str) -> P:
+    """Creates an output folder; an `InputError` if it already has contents, unless ``force``. Object stores need no folders.
+
+    ``unfinished`` says of contents what there is to go on with by ``--resume``; nothing if the text is empty.
+    """
+    if isinstance(folder, Path):
+        local(folder)
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"The output folder is a file. Choose another with -o: {folder}")
+    if not force and (isinstance(folder, RemotePath) or folder.is_dir()) and any(folder.iterdir()):
+        if held := unfinished():
+            raise InputError(
+                f"The output folder holds {held}. --resume goes on with the same options, --force replaces it; or choose "
+                f"another -o: {folder}"
+            )
         raise InputError(f"The output folder is not empty. Use --force to overwrite, or another -o: {folder}")
+    if isinstance(folder, RemotePath):
+        return folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -134,14 +141,30 @@ def open_episode(path: AnyPath) -> Recording:
     return opened
 
 
+def unfinished_dataset(root: AnyPath) -> str:
+    """Describe the dataset in a folder for `claim_folder`; empty if there is none."""
+    from h3data.recording import Dataset
+    from h3data.recording.parquet.files import is_begun
+
+    if not ((root / "h3" / "schema.json").is_file() or is_begun(root)):
+        return ""
+    try:
+        count = len(Dataset(root))
+    except H3DataError:  # interrupted before the first commit
+        count = 0
+    return f"a dataset of {counted(count, 'finished episode')}" if count else "a dataset without finished episodes"
+
+
 _PARTS_OF_DATASET = ("meta", "data", "h3", "videos", "mcap")
 
 
 def remove_dataset(root: AnyPath) -> None:
     """Deletes the dataset in a folder; an `InputError`, and nothing is deleted, if the folder holds anything else."""
+    from h3data.recording.parquet.files import is_begun
+
     if not root.exists() or (root.is_dir() and not any(root.iterdir())):
         return
-    if not (root / "h3" / "schema.json").is_file():
+    if not ((root / "h3" / "schema.json").is_file() or is_begun(root)):
         raise InputError(f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}")
     others = [p for p in root.iterdir() if p.name not in (*_PARTS_OF_DATASET, "README.md", "card.jpg")]
     others += [p for p in root.glob("mcap/*") if not re.fullmatch(r"\d{6,}\.mcap(\.part)?", p.name)]

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,3 +135,49 @@ KINDS: dict[Any, tuple[str, Callable[[str], Any]]] = {
     str: ("TEXT", str),
     Path: ("PATH", _path),
 }
+
+
+# --- options in messages ----------------------------------------------------------------------------------------------
+# Commands name options as the shell does (--resume), the packages below them as Python does (resume=True). Both reach users
+# of both, so they are translated where they leave: here, once, instead of two texts in hundreds of messages.
+_AS_FORCE = {"overwrite": "force"}
+"""Parameters of functions that a command offers under another name."""
+_IN_PYTHON = re.compile(r"(?<![\w.-])([a-z]\w*)=(?:True\b|\[([A-Z]+)\]|([A-Z]+)\b|(?=[\s,;:)]|\.(?:\s|$)|$))")
+_IN_SHELL = re.compile(r"(h3data [a-z]+ [^.;)`]*)|(?<![\w-])(--?[a-z][a-z-]*)(?:[ =]([A-Z]+\b|\d[\d.]*\b(?!\.)))?")
+_OTHER_OUT = re.compile(r"\banother -o\b")
+
+
+def in_shell_words(message: str, command: type[Command]) -> str:
+    """Return a message with the options of the command as the shell names them: ``resume=True`` becomes ``--resume``."""
+    by_field = {option.field: option for option in options_of(command)}
+
+    def as_flag(found: re.Match[str]) -> str:
+        name = _AS_FORCE.get(found[1], found[1])
+        option = by_field.get(name)
+        if option is None or not option.flags:
+            return found[0]
+        return " ".join(filter(None, (option.flags[-1], found[2] or found[3])))
+
+    out = by_field.get("out")
+    if out is not None and not out.flags:
+        message = _OTHER_OUT.sub("another OUT", message)
+    return _IN_PYTHON.sub(as_flag, message)
+
+
+def in_python_words(message: str, command: type[Command]) -> str:
+    """Return a message with the options of the command as Python names them: ``--resume`` becomes ``resume=True``.
+
+    Whole commands, such as ``h3data motion import --fps 120``, stay.
+    """
+    by_flag = {flag: option for option in options_of(command) for flag in option.flags}
+
+    def as_parameter(found: re.Match[str]) -> str:
+        option = by_flag.get(found[2])
+        if found[1] or option is None:
+            return found[0]
+        if option.kind is bool:
+            return f"{option.field}=True" + (f" {found[3]}" if found[3] else "")
+        return f"{option.field}={found[3]}" if found[3] else option.field
+
+    message = message.replace("the same command", "the same call")
+    return _IN_SHELL.sub(as_parameter, message.replace("overwrite=True", "force=True"))

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.render import Output
+from h3data.render.light.sources import LightMode
 from h3data.scene import Scene
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import WorldState
@@ -29,7 +30,7 @@ class CpuCameras:
 
     def __init__(
         self, scenes: Sequence[Scene], robot: str, human: str, walker: WalkerSpec, *, floors: Sequence[float],
-        views: Sequence[str], size: tuple[int, int],
+        views: Sequence[str], size: tuple[int, int], light: LightMode = "flat",
     ) -> None:  # fmt: skip
         self._scenes, self._floors, self._walker, self.views = scenes, floors, walker, tuple(views)
         self._bodies = load_robot(robot), load_humanoid(human)
@@ -37,7 +38,8 @@ class CpuCameras:
         self.share = size[0] * size[1] / (own.width * own.height)
         self.renderer = SimpleNamespace(width=size[0], height=size[1])
         self._size = size
-        self._drawn: dict[int, StateRenderer] = {}
+        self._light: LightMode = light
+        self._drawn: dict[tuple[int, LightMode], StateRenderer] = {}
         self._state, self._homes = WorldState.zeros(0), np.zeros(0, int)
 
     def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
@@ -51,11 +53,12 @@ class CpuCameras:
     def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
         """As `sim_kinematic.torch.cameras.TensorCameras.picture`."""
         sensor = CameraSensor(camera=view, outputs=tuple(outputs), size=self._size)
-        return stacked(sensor, (self._posed(w, home) for w, home in enumerate(self._homes.tolist())))
+        light: LightMode = self._light if "rgb" in outputs else "flat"
+        return stacked(sensor, (self._posed(w, home, light) for w, home in enumerate(self._homes.tolist())))
 
-    def _posed(self, w: int, home: int) -> StateRenderer:
-        if home not in self._drawn:
+    def _posed(self, w: int, home: int, light: LightMode) -> StateRenderer:
+        if (home, light) not in self._drawn:
             speed = self._walker.speed_mps
-            self._drawn[home] = StateRenderer(self._scenes[home], self._bodies, speed_mps=speed)
-        self._drawn[home].pose(self._state.take(np.array([w])), floor=self._floors[home])
-        return self._drawn[home]
+            self._drawn[home, light] = StateRenderer(self._scenes[home], self._bodies, speed_mps=speed, light=light)
+        self._drawn[home, light].pose(self._state.take(np.array([w])), floor=self._floors[home])
+        return self._drawn[home, light]

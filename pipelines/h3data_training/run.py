@@ -81,11 +81,21 @@ def train(
             f"Expected worlds in multiples of {settings.minibatches} minibatches for each of {processes} processes, "
             f"got {settings.worlds}."
         )
+    require_light(settings, device)
     job.kept()
     with stop_asked() as stop:
         if place is None and processes > 1:
             return launch(_work, processes, replace(job, bank=job.episodes(say)), stop=stop, say=say)
         return _work(job, stop, say)
+
+
+def require_light(settings: Settings, device: str) -> None:
+    """
+    Raises:
+        InputError: the device has no such light.
+    """
+    if settings.light != "flat" and not device.startswith("cpu"):
+        raise InputError(f"On {device} colours are in flat light. Hint: --light flat, or --device cpu for baked light.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,7 +289,7 @@ class _Run:
         return kind(
             card=PolicyCard(
                 task=s.task, actions=s.actions, robot=s.robot, observations=s.observations,
-                picture_size=s.picture_size if pictured else None, hold=s.hold, network=s.network,
+                picture_size=s.picture_size if pictured else None, light=s.light, hold=s.hold, network=s.network,
                 training={
                     "recipe": self.job.name, "seed": self.job.seed, "updates": updates,
                     "decisions": updates * s.decisions_per_update, "steps": updates * s.decisions_per_update * s.hold,

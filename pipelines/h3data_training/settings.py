@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from h3data.errors import InputError
+from h3data.render.light.sources import LightMode, check_light
 from sim_kinematic.policies.pictured import BASE_ACTIONS, OF_SOCIAL_NAV, PATCH, PICTURES
 
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
@@ -26,6 +27,8 @@ class Settings:
     observations: tuple[str, ...] = PAPER_OBSERVATIONS
     picture_size: tuple[int, int] = (64, 48)
     """Width and height [pixels], multiples of 4."""
+    light: LightMode = "flat"
+    """Light in ``arm_rgb``: ``flat``, or on a CPU ``baked``. The policy is shown the same wherever it plays."""
     robot: str = "quad_arm"
     human: str = "female_0"
     walk: str = "natural"
@@ -86,6 +89,9 @@ class Settings:
     """Length of the run, set-up included."""
 
     def __post_init__(self) -> None:
+        check_light(self.light)
+        if self.light != "flat" and "arm_rgb" not in self.observations:
+            raise InputError("Light makes no difference to depth. Hint: leave out the light, or observe arm_rgb.")
         known = (*self.pictures, *self.told)
         strangers = [name for name in self.observations if name not in known]
         if strangers or not self.observations:
@@ -163,6 +169,14 @@ class Settings:
         """For an actor that has been trained: the critic alone learns at first, and there is less left to explore."""
         ahead = self.horizon[1]
         return replace(self, horizon=(ahead, 1.5 * ahead), std=0.3, rate=self.rate / 2, critic_updates=20)
+
+    def looking_ahead(self, steps: float) -> Settings:
+        """With a value that looks ``steps`` of 1/30 s ahead at the end of the run, and in proportion at its start."""
+        if not (math.isfinite(steps) and steps > self.hold * self.horizon[1] / self.horizon[0]):
+            raise InputError(
+                f"Expected a horizon that is longer than an action of {self.hold} steps from the start, got {steps:g} steps."
+            )
+        return replace(self, horizon=(steps * self.horizon[0] / self.horizon[1], float(steps)))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as they stand in checkpoints and cards."""

@@ -39,7 +39,8 @@ class HeldWorlds(HeldSteps, SocialNavTorchEnv):
         shown: Any = tuple(dict.fromkeys((*settings.observations, *CRITIC)))
         super().__init__(
             count or settings.worlds, device=device, dtype=torch.float32, observations=shown, spec=rules(settings),
-            episodes=bank, depth_size=settings.picture_size, robot=settings.robot, human=settings.human, compile=compile,
+            episodes=bank, depth_size=settings.picture_size, light=settings.light, robot=settings.robot, human=settings.human,
+            compile=compile,
         )  # fmt: skip
         self._make_totals(self.num_envs, self.device)
 
@@ -56,6 +57,7 @@ class HeldWorlds(HeldSteps, SocialNavTorchEnv):
             floors=floors,
             views=arm_cameras(self._names),
             size=size,
+            light=self._light or "flat",
         )
 
     def _eager(self) -> None:

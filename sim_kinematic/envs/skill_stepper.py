@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.geometry import Array
+from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
@@ -97,6 +98,7 @@ class SkillStepper:
             self._check_partner("human" if "robot" in agents else "robot", self._partner)
         self._choices = {agent: choices(self.spec.objects, robot=agent == "robot") for agent in self.agents}
         self._sets = self._observation_sets(observations or STATE_SENSES, options)
+        self._light: LightMode = options.light
         self._stage = Stage()
         self.play: RearrangePlay | None = None
         self._turns: Turns | None = None
@@ -171,7 +173,7 @@ class SkillStepper:
         shown = exact(play.view(KINDS.index(agent)), own.states)
         seen: Arrays = {name: values[None] for name, values in shown.items()}
         if own.pictures.names:
-            seen |= own.take(self._stage.posed(play))
+            seen |= own.take(self._stage.posed(play, self._light if own.pictures.in_colour else "flat"))
         return own.shown(seen, [play.episode.seed], [play.steps])
 
     def info(self, agent: str) -> Info:
@@ -203,7 +205,7 @@ class SkillStepper:
 
     def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
         del world
-        return watcher.picture(self._stage.posed(self._begun()), KINDS.index(agent))
+        return watcher.picture(self._stage.posed(self._begun(), self._light), KINDS.index(agent))
 
     def describe(self) -> str:
         models = {member.kind: member.model for member in self.source.roster}
@@ -289,15 +291,17 @@ class Stage:
 
     def __init__(self) -> None:
         self._episode: Any = None
-        self._renderer: StateRenderer | None = None
+        self._renderers: dict[LightMode, StateRenderer] = {}
 
-    def posed(self, play: RearrangePlay) -> StateRenderer:
-        """The renderer, with everything where it is now."""
+    def posed(self, play: RearrangePlay, light: LightMode = "flat") -> StateRenderer:
+        """The renderer of a light, with everything where it is now."""
         from sim_kinematic.sensing.camera_sensor import StateRenderer
 
         episode = play.episode
-        if self._renderer is None or self._episode is not episode:
+        if self._episode is not episode:
+            self._episode, self._renderers = episode, {}
+        if light not in self._renderers:
             bodies, names = [member.body for member in episode.roster], [target.name for target in episode.targets]
-            self._episode, self._renderer = episode, StateRenderer(episode.scene, bodies, objects=names)
-        self._renderer.pose(play.state, frames=play.frames())
-        return self._renderer
+            self._renderers[light] = StateRenderer(episode.scene, bodies, objects=names, light=light)
+        self._renderers[light].pose(play.state, frames=play.frames())
+        return self._renderers[light]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -12,6 +13,7 @@ from torch import Tensor
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
+from h3data.render.light.sources import LightMode, check_light
 from h3data.scene import Scene
 from sim_kinematic.envs.torch_env import Tensors, TorchEnv
 from sim_kinematic.motion.spec import SocialNavSpec
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from h3data.render import Output
     from sim_kinematic.torch.cameras import TensorCameras
     from sim_kinematic.torch.episodes import EpisodeBank
+
+log = logging.getLogger(__name__)
 
 TorchObservation = Literal[
     "arm_depth",
@@ -44,6 +48,8 @@ OUTPUTS: dict[str, Output] = {"arm_depth": "depth", "humanoid_detector": "semant
 """Outputs of the arm's depth camera that they come from."""
 STATE: tuple[TorchObservation, ...] = ("humanoid_gps", "egomotion")
 ARM, ARM_RGB = "robot_arm", "robot_arm_rgb"
+ASKED = "Hint: light='flat' asks for it."
+NO_BAKED_LIGHT = "On a device colours are in flat light. Hint: light='flat', or leave out device for baked light."
 EPISODES = 512
 """Of the bank, unless said otherwise: some seconds to draw."""
 
@@ -71,6 +77,7 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         reward: str = "paper",
         end_on_success: bool = False,
         depth_size: tuple[int, int] | None = None,
+        light: LightMode | None = None,
         episodes: int | EpisodeBank = EPISODES,
         episodes_seed: int = 0,
         robot: str = "quad_arm",
@@ -89,6 +96,8 @@ class SocialNavTorchEnv(TorchEnv[Play]):
             reward: ``paper``; the other one needs the CPU.
             end_on_success: Whether having followed long enough terminates the episode too.
             depth_size: Width and height of pictures [pixels]; None is that of the robot's camera.
+            light: Light in ``arm_rgb``: ``flat``, the only one that a device has. None is flat too, with a warning, since
+                environments on the CPU have baked light.
             episodes: How many are drawn for the bank, or a bank.
             episodes_seed: The run whose first episodes these are.
             robot: Name of a built-in robot.
@@ -119,6 +128,9 @@ class SocialNavTorchEnv(TorchEnv[Play]):
             episodes, device=self.device, dtype=dtype, spec=rules, end_on_success=end_on_success, **bodies
         )
         self._names = tuple(dict.fromkeys(observations))
+        if light is not None:
+            check_light(light)
+        self._light: LightMode | None = light
         pictured = bool(set(PICTURED) & set(observations))
         self._cameras = self._make_cameras(depth_size, compile=self._compiles, **bodies) if pictured else None
         self._action = torch.zeros((self.num_envs, self.sim.action_width), dtype=self.sim.dtype, device=self.device)
@@ -172,6 +184,12 @@ class SocialNavTorchEnv(TorchEnv[Play]):
     def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> TensorCameras:
         from sim_kinematic.torch.cameras import TensorCameras
 
+        if "arm_rgb" in self._names and self._light == "baked":
+            raise InputError(NO_BAKED_LIGHT)
+        if "arm_rgb" in self._names and self._light is None:
+            log.warning(
+                "arm_rgb on a device is in flat light, that of environments on the CPU in baked light. %s", ASKED
+            )
         heights = sorted({floor.floor_y for floor in self.bank.floors})
         if len(heights) != 1:
             raise InputError(

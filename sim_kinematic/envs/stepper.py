@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.progress import progress
+from h3data.render.light.sources import LightMode, check_light
 from sim_kinematic.sensing.observation_set import Arrays, gymnasium
 from sim_kinematic.sensing.sensor import NoiseModel
 
@@ -37,12 +38,18 @@ class Options:
     """Width and height of depth, masks and boxes [pixels]; None is each camera's own."""
     rgb_size: tuple[int, int] | None = None
     """Width and height of colour pictures."""
+    light: LightMode = "baked"
+    """Light in colour pictures, those of ``render()`` included: ``baked``, from windows, sun and lamps, or ``flat``, the same
+    everywhere. Ids do not depend on it, and depth only in its last bits where there are colours too."""
     noise: Mapping[str, NoiseModel] | None = None
     """Model by name of an observation, as `sim_kinematic.sensing.sensor.with_noise`; by default all are exact."""
     end_on_success: bool = False
     """Whether success terminates an episode even where the task's rules let it go on."""
     threads: int = 1
     """Threads that render pictures."""
+
+    def __post_init__(self) -> None:
+        check_light(self.light)
 
 
 DEFAULTS = Options()

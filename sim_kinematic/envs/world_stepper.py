@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
+from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
@@ -91,8 +92,8 @@ class WorldStepper:
         self._walkers: list[list[Any]] = [[] for _ in range(self.worlds)]
         self._targets: dict[int, Array] = {k: np.zeros((self.worlds, 2)) for k in self._others}
         self._home = np.full(self.worlds, -1)
-        self._renderers: dict[tuple[int, int], StateRenderer] = {}
-        """By home and number of worlds that are rendered at once."""
+        self._renderers: dict[tuple[int, int, LightMode], StateRenderer] = {}
+        """By home, number of worlds that are rendered at once, and light."""
         self._sets = self._observation_sets(observations or STATE_OBSERVATIONS)
 
     # --- spaces -------------------------------------------------------------------------------------------------------
@@ -190,7 +191,7 @@ class WorldStepper:
     def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
         if not self.play.episodes:
             raise InputError("No episode has begun. Hint: call reset() first.")
-        return watcher.picture(self._posed(np.array([world])), self.numbers[agent])
+        return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:
         models = {member.name: member.model for member in self.source.roster}
@@ -257,36 +258,38 @@ class WorldStepper:
 
     def _pictures(self, own: ObservationSet) -> Arrays:
         result: Arrays = {}
+        light = self._options.light if own.pictures.in_colour else "flat"
         at_once = self.worlds if len(self.source.homes) == 1 else 1
         for home in np.unique(self._home):
             rows = np.flatnonzero(self._home == home)
             for part in rows.reshape(-1, at_once):
-                for name, picture in own.take(self._posed(part)).items():
+                for name, picture in own.take(self._posed(part, light)).items():
                     if name not in result:
                         result[name] = np.zeros((self.worlds, *picture.shape[1:]), picture.dtype)
                     result[name][part] = picture
         return result
 
-    def _posed(self, worlds: NDArray[np.intp]) -> StateRenderer:
+    def _posed(self, worlds: NDArray[np.intp], light: LightMode = "flat") -> StateRenderer:
         """The renderer of some worlds that are in one home, with everything where it is now."""
-        renderer = self._renderer(int(self._home[worlds[0]]), len(worlds))
+        renderer = self._renderer(int(self._home[worlds[0]]), len(worlds), light)
         world = self.play.world
         renderer.pose(world.state.take(worlds), floor=world.floors[worlds[0]])
         return renderer
 
-    def _renderer(self, home: int, worlds: int) -> StateRenderer:
+    def _renderer(self, home: int, worlds: int, light: LightMode) -> StateRenderer:
         """Returns the renderer of a home that renders ``worlds`` worlds at once."""
         from sim_kinematic.sensing.camera_sensor import StateRenderer
 
-        if (home, worlds) not in self._renderers:
-            self._renderers[home, worlds] = StateRenderer(
+        if (home, worlds, light) not in self._renderers:
+            self._renderers[home, worlds, light] = StateRenderer(
                 self.source.homes[home].scene,
                 [member.body for member in self.source.roster],
                 threads=self._options.threads,
                 worlds=worlds,
                 speed_mps=self.spec.human.speed_mps,
+                light=light,
             )
-        return self._renderers[home, worlds]
+        return self._renderers[home, worlds, light]
 
 
 def _arm(body: Body) -> Array:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
+from h3data.render.light.sources import LightMode
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import network as files
 from sim_kinematic.policies import pictured
@@ -40,6 +41,7 @@ SHIPPED_PARTNERS: Mapping[str, str] = {
 SHIPPED: Mapping[str, str] = {**SHIPPED_IN["social_nav"], **SHIPPED_IN["rearrange"], **SHIPPED_PARTNERS}
 """All of them."""
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
+_IN_LIGHT = re.compile(r"^(?P<name>.+)@(?P<light>baked|flat)$")
 
 Floats = NDArray[np.floating]
 AnyNetwork = Network | PicturedNetwork | ChooserNetwork
@@ -57,7 +59,8 @@ def weights_hint(name: str) -> str:
 
 
 def stamped(policy: str) -> str:
-    """The name of a policy as it is recorded: of a file of weights with 12 digits of its digest, ``weights:FILE@digest``.
+    """The name of a policy as it is recorded: of a file of weights with 12 digits of its digest, ``weights:FILE@digest``, and
+    the light that it is shown, if that is another than it has learned in, ``weights:FILE@digest@baked``.
 
     Such a name means these very weights; other policies keep their names.
 
@@ -66,18 +69,40 @@ def stamped(policy: str) -> str:
     """
     if not policy.startswith(PREFIX):
         return policy
-    network = network_of(policy)
-    found = _STAMP.match(policy)
-    return policy if found else f"{policy}@{network.digest[:12]}"
+    name, light = _without_light(policy)
+    network = network_of(name)
+    stamp = name if _STAMP.match(name) else f"{name}@{network.digest[:12]}"
+    return f"{stamp}@{light}" if light and network_light(network_of(policy)) != network_light(network) else stamp
+
+
+def network_light(network: AnyNetwork) -> LightMode | None:
+    """Light in the colours that a network is shown; None: it sees none."""
+    return network.card.light if isinstance(network, PicturedNetwork) and network.sees_colours else None
+
+
+def in_light(policy: str, light: LightMode | None) -> str:
+    """The name of a policy that is shown colours in this light; None leaves it the light that it has learned in. Policies
+    that see no colours keep their names."""
+    if light is None or not is_learned(policy) or network_light(network_of(policy)) is None:
+        return policy
+    return stamped(f"{_without_light(policy)[0]}@{light}") if policy.startswith(PREFIX) else policy
+
+
+def _without_light(policy: str) -> tuple[str, LightMode | None]:
+    """A name without the light at its end, and the light."""
+    found = _IN_LIGHT.match(policy) if policy.startswith(PREFIX) else None
+    return (found["name"], "baked" if found["light"] == "baked" else "flat") if found else (policy, None)
 
 
 def network_of(policy: str) -> AnyNetwork:
-    """The network that ``weights:FILE``, ``weights:FILE@digest`` or a name of `SHIPPED` means.
+    """The network that ``weights:FILE``, ``weights:FILE@digest`` or a name of `SHIPPED` means; of a file with ``@baked`` or
+    ``@flat`` at the end the one that is shown colours in this light, whatever it has learned in.
 
     Raises:
         InputError: there is no such file, it is none, or it is another than the name says.
     """
-    name = str(builtin_path(SHIPPED[policy])) if policy in SHIPPED else policy.removeprefix(PREFIX)
+    bare, light = _without_light(policy)
+    name = str(builtin_path(SHIPPED[policy])) if policy in SHIPPED else bare.removeprefix(PREFIX)
     found = _STAMP.match(name)
     if not name:
         raise InputError("Expected the path of a file of weights, as weights:FILE.")
@@ -88,6 +113,10 @@ def network_of(policy: str) -> AnyNetwork:
             f"The weights are no longer those that {policy} names: their digest is {network.digest[:12]}. "
             f"Hint: weights:{path} takes them as they are."
         )
+    if light is not None:
+        if not isinstance(network, PicturedNetwork):
+            raise InputError(f"The network sees no colours, so light makes no difference to it. Policy: {policy}")
+        return network.in_light(light)
     return network
 
 
@@ -212,7 +241,7 @@ class PicturedNavigation:
         shown = {n: NAVIGATION_INPUTS[n](view, spec) for n in card.observations if n in NAVIGATION_INPUTS}
         if pictures and view.pictures is None:
             raise InputError(f"The policy needs {' and '.join(pictures)}, and nobody takes pictures here.")
-        return shown | (view.pictures(pictures, card.picture_size) if pictures and view.pictures else {})
+        return shown | (view.pictures(pictures, card.picture_size, card.light) if pictures and view.pictures else {})
 
 
 @contextmanager

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.kernels import kernel
+from h3data.render.light.sources import LightMode
 
 FILE_FORMAT = "h3data.policy/1"
 PATCH = 4
@@ -108,6 +109,8 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     observations: tuple[str, ...]
     picture_size: tuple[int, int] | None
     """Width and height of the picture and of the detector's [pixels]."""
+    light: LightMode = "flat"
+    """Light in the colours that it has learned from, and is shown. Files without this entry have learned in flat light."""
     hold: int
     """Steps of 1/30 s for which an action is held."""
     network: str = "cnn_gru"
@@ -165,12 +168,31 @@ class PicturedNetwork:
         """Which of `PICTURES` it is shown."""
         return picture_in(self.card.observations)
 
+    @property
+    def sees_colours(self) -> bool:
+        """Whether the light of the home reaches it."""
+        return self.sees == "arm_rgb"
+
+    def in_light(self, light: LightMode) -> Self:
+        """The same network, shown colours in this light.
+
+        Raises:
+            InputError: it sees no colours.
+        """
+        if not self.sees_colours:
+            raise InputError("The network sees no colours, so light makes no difference to it.")
+        return replace(self, card=msgspec.structs.replace(self.card, light=light))
+
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all that decides what it does."""
         card = self.card
-        about = (card.task, card.observations, card.picture_size, card.hold)
-        return digest_of(about if card.network == "cnn_gru" else (*about, card.network), self.arrays)
+        about: tuple[Any, ...] = (card.task, card.observations, card.picture_size, card.hold)
+        if card.network != "cnn_gru":
+            about = (*about, card.network)
+        if self.sees_colours and card.light != "flat":  # digests of before cards had light stay
+            about = (*about, card.light)
+        return digest_of(about, self.arrays)
 
     def start(self) -> Floats:
         """The recurrent state at the start of an episode, [H]."""

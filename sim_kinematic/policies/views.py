@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -77,9 +77,9 @@ class SocialNavView(NamedTuple):
     """Where the person was before the last step; None at the start."""
     future: Callable[[], NDArray[np.float64]] | None = None
     """Where the person will be after this step and each later one [K, 2]: for `future_oracle` alone. None: nobody knows."""
-    pictures: Callable[[Sequence[str], tuple[int, int] | None], dict[str, NDArray[Any]]] | None = None
-    """Takes named pictures of the robot of some size (width, height): `sim_kinematic.sensing.eyes.see`. They are costly, so
-    only a policy that sees asks for them. None: nobody takes pictures."""
+    pictures: Callable[..., dict[str, NDArray[Any]]] | None = None
+    """Takes pictures of the robot as `sim_kinematic.sensing.eyes.see`: ``pictures(names, size, light="flat")`` with a size
+    (width, height) or None. They are costly, so only a policy that sees asks for them. None: nobody takes pictures."""
 
 
 class RearrangeView(NamedTuple):

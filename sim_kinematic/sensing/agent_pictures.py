@@ -82,6 +82,11 @@ class AgentPictures:
             lens = next(self._lenses[name] for name in self.names if name in DETECTORS)
             self._detects_from = int(DETECTED_PIXELS * lens.width * lens.height / (own.width * own.height))
 
+    @property
+    def in_colour(self) -> bool:
+        """Whether one of them shows the light of the home."""
+        return any(name.endswith("_rgb") for name in self.names)
+
     def limits(self, name: str) -> Limits:
         """The space of one world's picture: ``rgb`` uint8 [H, W, 3], the detector float32 [1], others float32 [H, W, 1]."""
         lens = self._lenses[name]

@@ -13,7 +13,7 @@ pictures = arm.observe(drawn)  # {"depth": [16, 171, 224], "semantic": ...}
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,12 +22,15 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
-from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene, pinhole
+from h3data.render import Camera, Light, Output, Renderer, RenderInstance, RenderScene, pinhole
+from h3data.render.light.bake import lit_scene
+from h3data.render.light.sources import LightMode, sources_of
 from h3data.render.raster.hulls import may_see
 from h3data.render.renderer import Backend
 from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE, HUMAN_HEAD
+from h3data.replay.shadow_casters import ShadowCasters, shadow_casters
 from h3data.scene import Mesh, Scene, Shape
-from h3data.scene.records import Capsule, instance_matrix
+from h3data.scene.records import Capsule, Instance, instance_matrix
 from sim_kinematic.contact.frames import Body, Floor, body_frames, body_shapes, require_bodies, shape_frames
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.sensor import HUMAN_ID, scaled_depth
@@ -54,7 +57,8 @@ class StateRenderer:
 
     def __init__(
         self, scene: Scene, agents: Sequence[Body], *, worlds: int = 1, objects: Sequence[str] = (),
-        speed_mps: float | None = None, skinned: bool = True, backend: Backend = "cpu", threads: int = 1,
+        speed_mps: float | None = None, skinned: bool = True, light: LightMode = "flat", lit_as: Scene | None = None,
+        backend: Backend = "cpu", threads: int = 1,
     ) -> None:  # fmt: skip
         """
         Args:
@@ -64,6 +68,9 @@ class StateRenderer:
             objects: Names of the instances of ``scene`` that the state moves, in the order of ``object_pose`` [O].
             speed_mps: At which people walk, which chooses their clips (default: `WalkerSpec`'s).
             skinned: People are skinned meshes; else the rigid capsules of their bones.
+            light: Light in ``rgb``, as of `h3data.replay.Replay`.
+            lit_as: The scene whose baked light surfaces carry (default: ``scene``): the same instances, with doors and drawers
+                elsewhere, so that light is not baked anew whenever one moves.
             backend: Of `h3data.render.Renderer`.
             threads: Threads that draw a batch.
         """
@@ -76,6 +83,7 @@ class StateRenderer:
                 drawn_as[i.name] = self._add(
                     shared[i.asset], i.name, instance_matrix(i), semantic_id=i.semantic_id, layer=i.layer
                 )
+        static = [k for name, k in drawn_as.items() if name not in set(objects)]
         unknown = sorted(set(objects) - set(drawn_as))
         if unknown:
             raise InputError(f"The scene draws no instances {', '.join(unknown)}, which the state is to move.")
@@ -86,11 +94,20 @@ class StateRenderer:
         self._agents = tuple(self._add_agent(body) for body in agents)
         people = [drawn for drawn in self._agents if isinstance(drawn.body, Humanoid)]
         deformable = tuple(mesh for drawn in people for mesh in drawn.meshes) if skinned else ()
-        self.scene = RenderScene(self._meshes, self._instances, deformable=deformable)
-        self.renderer = Renderer(self.scene, backend=backend, worlds=worlds, threads=threads)
+        self._light: Light | None = None
+        self._casters: ShadowCasters | None = None
+        self._mirrors: dict[int, NDArray[np.float32]] = {}
+        if light == "baked":
+            self._bake(scene, static, lit_as or scene)
+        self.scene = RenderScene(self._meshes, self._instances, deformable=deformable, mirrors=self._mirrors)
+        self.renderer = Renderer(self.scene, light=self._light, backend=backend, worlds=worlds, threads=threads)
         self._frames: list[Array] = []
         self._shown: set[tuple[int, int, bool]] = set()
         """Agent, world and mesh of those who are skinned as last posed."""
+        self._rigid: list[tuple[list[int], Array]] = []
+        """Instances [n] of objects and of each robot, and their matrices [W, n, 4, 4], as last posed."""
+        self._is_shaded = False
+        """Whether shadows are those of what was last posed."""
 
     @property
     def worlds(self) -> int:
@@ -104,6 +121,23 @@ class StateRenderer:
     def instances(self, agent: int) -> tuple[int, ...]:
         """Ids of an agent in ``instance`` pictures, of a person for `detect_humanoids` too."""
         return tuple(self._agents[agent].instances)
+
+    def _bake(self, scene: Scene, static: Sequence[int], lit_as: Scene) -> None:
+        """Replaces static meshes by ones that carry the light of the scene; their poses are those that a recording has, so that
+        the light is the very one of replays, and baked once for both."""
+        as_lit = list(self._instances)
+        for instances, other in ((self._instances, scene), (as_lit, lit_as)):
+            there = {i.name: recorded_matrix(i) for i in other.instances}
+            for k in static:
+                instances[k] = replace(instances[k], matrix=there[instances[k].name])
+        lit = lit_scene(self._meshes, as_lit, static, sources_of(lit_as), name=scene.name)
+        pairs = zip(self._instances, lit.instances, strict=True)
+        self._instances = [replace(own, mesh=each.mesh) for own, each in pairs]
+        self._meshes, self._light, self._mirrors = lit.meshes, lit.light, lit.mirrors
+        if lit.field is not None:
+            movers = dict.fromkeys(self._objects, -1)
+            movers |= {k: number for number, drawn in enumerate(self._agents) for k in drawn.instances}
+            self._casters = shadow_casters(lit.field, self._meshes, self._instances, movers)
 
     def _mesh(self, mesh: Mesh) -> int:
         self._meshes.append(mesh)
@@ -146,6 +180,7 @@ class StateRenderer:
         objects[..., :3, :3] *= self._object_scale
         for w in range(self.worlds):
             self.renderer.set_transforms(self._objects, objects[w], world=w)
+        self._rigid, self._is_shaded = [(self._objects, objects)], False
         for drawn, own in zip(self._agents, frames, strict=True):
             if isinstance(drawn.body, Robot):
                 rigid = own[:, [k for k, link in enumerate(drawn.body.links) if link.mesh is not None]]
@@ -155,6 +190,7 @@ class StateRenderer:
                 rigid = shape_frames(drawn.body, own)
             for w in range(self.worlds):
                 self.renderer.set_transforms(drawn.instances, rigid[w], world=w)
+            self._rigid.append((drawn.instances, rigid))
         self._frames = list(frames)
         self._shown.clear()
 
@@ -195,8 +231,23 @@ class StateRenderer:
             for k, drawn in enumerate(self._agents):
                 if isinstance(drawn.body, Humanoid):
                     self._show_person(k, drawn, drawn.body, cameras)
+        if "rgb" in outputs and self._casters is not None and not self._is_shaded:
+            self._shade(self._casters)
         worlds = list(range(self.worlds)) * (len(cameras) // self.worlds)
         return self.renderer.render_batch(cameras, worlds=worlds, outputs=outputs)
+
+    def _shade(self, casters: ShadowCasters) -> None:
+        """Sets shadows and light of what moves, as last posed."""
+        people = [
+            (drawn.instances[0], drawn.body.capsules_world(self._frames[k]))
+            for k, drawn in enumerate(self._agents)
+            if isinstance(drawn.body, Humanoid) and self._skinned
+        ]
+        for w in range(self.worlds):
+            rigid = [(np.asarray(instances, np.intp), matrices[w]) for instances, matrices in self._rigid]
+            skins = {k: np.column_stack([start[w], end[w], radius]) for k, (start, end, radius) in people}
+            self.renderer.set_blockers(casters.blockers(rigid, skins), world=w)
+        self._is_shaded = True
 
     def _show_person(self, agent: int, drawn: _Drawn, body: Humanoid, cameras: Sequence[Camera]) -> None:
         """The light mesh where it will do for every camera, as in replays; each is skinned at most once per pose, and only
@@ -219,6 +270,12 @@ class StateRenderer:
                 for w, vertices in zip(fresh, body.skin(joints[fresh], lod=lod), strict=True):
                     self.renderer.set_vertices(drawn.meshes[int(lod)], vertices, world=w)
                 self._shown |= {(agent, w, lod) for w in fresh}
+
+
+def recorded_matrix(instance: Instance) -> Array:
+    """Matrix [4, 4] from mesh to world of an instance whose pose is rounded as in recordings."""
+    pose, scale = (np.asarray(a, np.float32).astype(np.float64) for a in (instance.pose, instance.scale))
+    return instance_matrix(replace(instance, pose=pose, scale=scale))
 
 
 def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:

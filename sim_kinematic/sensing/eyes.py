@@ -10,6 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from h3data.geometry import Array
+from h3data.render.light.sources import LightMode
 from h3data.scene import Scene
 from sim_kinematic.contact.frames import Body, Floor
 from sim_kinematic.motion.state import WorldState
@@ -21,7 +22,7 @@ from sim_kinematic.sensing.sensor import scaled_depth
 def see(
     state: WorldState, scene: Scene, bodies: Sequence[Body], names: Sequence[str], *, agent: int,
     size: tuple[int, int] | None = None, floor: Floor = 0.0, speed_mps: float | None = None, objects: Sequence[str] = (),
-    frames: Sequence[Array] | None = None,
+    frames: Sequence[Array] | None = None, light: LightMode = "flat", lit_as: Scene | None = None,
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
     """Named pictures of an agent, exact, as `sim_kinematic.sensing.observation_set` shows them.
 
@@ -36,11 +37,14 @@ def see(
         speed_mps: At which people walk, which chooses their clips.
         objects: Names of the instances that the state moves.
         frames: Of all agents, as of `StateRenderer.pose`.
+        light: Light in ``*_rgb``; nothing else depends on it.
+        lit_as: As of `StateRenderer`.
 
     Returns:
         ``*_depth`` [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, ``*_rgb`` uint8 [H, W, 3], the detector [1].
     """
-    rendered = _renderer(scene, tuple(bodies), tuple(objects), speed_mps, threading.get_ident())
+    seen_in, like = (light, lit_as) if any(name.endswith("_rgb") for name in names) else ("flat", None)
+    rendered = _renderer(scene, tuple(bodies), tuple(objects), speed_mps, seen_in, like, threading.get_ident())
     rendered.pose(state, floor=floor, frames=frames)
     pictures = AgentPictures(bodies[agent], names, agent=agent, depth_size=size, rgb_size=size).take(rendered)
     return {name: scaled_depth(p[0]) if name.endswith("_depth") else p[0] for name, p in pictures.items()}
@@ -48,7 +52,13 @@ def see(
 
 @lru_cache(maxsize=4)  # packing a home costs as much as some hundred pictures
 def _renderer(
-    scene: Scene, bodies: tuple[Body, ...], objects: tuple[str, ...], speed_mps: float | None, thread: int
+    scene: Scene,
+    bodies: tuple[Body, ...],
+    objects: tuple[str, ...],
+    speed_mps: float | None,
+    light: LightMode,
+    lit_as: Scene | None,
+    thread: int,
 ) -> StateRenderer:
     del thread  # a renderer must not be shared between threads
-    return StateRenderer(scene, bodies, objects=objects, speed_mps=speed_mps)
+    return StateRenderer(scene, bodies, objects=objects, speed_mps=speed_mps, light=light, lit_as=lit_as)

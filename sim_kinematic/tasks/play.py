@@ -13,6 +13,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import H3DataError, InputError
 from h3data.geometry import Array
 from h3data.recording import STEP_NS, Event, SkillSpan
+from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.state import HumanState, RobotState
@@ -189,7 +190,12 @@ class WorldPlay:
         )
 
     def pictures(
-        self, agent: int, world: int, names: Sequence[str], size: tuple[int, int] | None
+        self,
+        agent: int,
+        world: int,
+        names: Sequence[str],
+        size: tuple[int, int] | None,
+        light: LightMode = "flat",
     ) -> dict[str, NDArray[Any]]:
         """Named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`."""
         from sim_kinematic.sensing.eyes import see
@@ -198,7 +204,7 @@ class WorldPlay:
         bodies = [member.body for member in self.world.roster]
         floor, speed = self.world.floors[world], self.spec.human.speed_mps
         scene = self.episodes[world].scene
-        return see(state, scene, bodies, names, agent=agent, size=size, floor=floor, speed_mps=speed)
+        return see(state, scene, bodies, names, agent=agent, size=size, floor=floor, speed_mps=speed, light=light)
 
     def _traffic_of(self, world: int) -> Traffic:
         if world not in self._traffic:

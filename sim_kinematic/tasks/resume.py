@@ -246,9 +246,9 @@ def _assigned(
             if choice is not None:
                 raise
             if strict and not (keeps_people and member.kind == "human"):
-                entry, option = ("policy", "--policy") if member.kind == "robot" else ("partner", "--partner")
+                entry = "policy" if member.kind == "robot" else "partner"
                 raise InputError(
-                    f"The recording's own {entry} is not at hand; name one with {option}. {fault}"
+                    f"The recording's own {entry} is not at hand; name one with {entry}=. {fault}"
                 ) from None
             result.append(AssignedPolicy(None, named[k], member.kind))
     return result

@@ -162,7 +162,7 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         self._check_roster(roster)
         starts = np.array(record.starts, np.float64).reshape(-1, 3)
         if len(starts) != len(roster):
-            raise InputError(f"The episode has starts for {len(starts)} agents, --agents names {len(roster)}.")
+            raise InputError(f"The episode has starts for {len(starts)} agents, agents= names {len(roster)}.")
         starts = starts_on_floor(place.free, record.starts)
         return Episode(
             scene=place.scene,

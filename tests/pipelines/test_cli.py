@@ -199,6 +199,10 @@ def test_an_interrupted_dataset_goes_on(tmp_path: Path, capsys: pytest.CaptureFi
     options = ["generate", "social_nav", "--homes", "1", "--seed", "7", "--max-steps", "30", "-o"]
     whole = run_json(capsys, *options, tmp_path / "whole", "--episodes", "3")
     run_json(capsys, *options, tmp_path / "parts", "--episodes", "1")
+    assert main([*options, str(tmp_path / "parts"), "--episodes", "3"]) == 2
+    said = capsys.readouterr().err
+    assert "a dataset of 1 finished episode. --resume goes on" in said
+    assert said.index("--resume") < said.index("--force")
     rest = run_json(capsys, *options, tmp_path / "parts", "--episodes", "3", "--resume")
     assert rest["new"] == 2
     assert rest["state_hashes"] == whole["state_hashes"]

@@ -29,9 +29,11 @@ from h3data.recording import (
 )
 from h3data.recording.mcap import part as mcap_part
 from h3data_pipelines.cli import main
-from h3data_pipelines.command import remove_dataset, uninterrupted
+from h3data_pipelines.command import claim_folder, remove_dataset, unfinished_dataset, uninterrupted
 from h3data_pipelines.commands import generate
 from h3data_pipelines.jobs import running as episode_jobs
+from h3data_pipelines.jobs.generated import require_same_options
+from tests.recording.strategies import simple_recording
 
 STANDING = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (3, 1))
 SHORT = ("generate", "social_nav", "--homes", "1", "--seed", "7", "--max-steps", "20", "-o")
@@ -299,6 +301,23 @@ def test_an_interrupt_before_a_row_group_keeps_the_episodes_before_it(
     assert len(h3data.open(tmp_path / "b")) == 2
 
 
+@pytest.mark.parametrize("begun", ["h3/", "h3/schema.json.12-ab.part", "h3/schema.json"])
+def test_a_dataset_that_was_killed_at_once_is_gone_on_with_or_replaced(tmp_path: Path, begun: str) -> None:
+    with DatasetWriter(tmp_path / "whole", like=[simple_recording()]):
+        pass
+    root = tmp_path / "ds"
+    (root / "h3").mkdir(parents=True)
+    if not begun.endswith("/"):
+        (root / begun).write_bytes((tmp_path / "whole" / "h3" / "schema.json").read_bytes())
+    with pytest.raises(InputError, match=r"a dataset without finished episodes. --resume goes on"):
+        claim_folder(root, force=False, unfinished=lambda: unfinished_dataset(root))
+    require_same_options(root, [])
+    with DatasetWriter(root, resume=True, like=[simple_recording()]) as writer:
+        writer.add(simple_recording())
+    remove_dataset(root)
+    assert not [path for path in root.rglob("*") if path.is_file()]
+
+
 # --- import and rerender ----------------------------------------------------------------------------------------------
 def test_files_of_the_same_name_do_not_overwrite_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("one", "two"):
@@ -316,6 +335,19 @@ def test_files_of_the_same_name_do_not_overwrite_each_other(tmp_path: Path, caps
     logs = [tmp_path / "out" / name / "s.mcap" for name in ("one", "two")]
     assert "'s'" in run_json(capsys, "rerender", *logs, "-o", tmp_path / "v", "--force", code=2)["error"]
     assert not (tmp_path / "v").exists()
+
+
+def test_an_import_goes_on_with_the_same_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "in").mkdir()
+    for name in ("one", "two", "three"):
+        (tmp_path / "in" / f"{name}.gfx_replay.json").write_text(replay(name))
+    run_json(capsys, "import", tmp_path / "in" / "one.gfx_replay.json", "-o", tmp_path / "out")
+    run_json(capsys, "import", tmp_path / "in" / "two.gfx_replay.json", "-o", tmp_path / "other")
+    (tmp_path / "other" / "two.mcap").rename(tmp_path / "out" / "three.mcap")  # another recording: not ours to replace
+    data = run_json(capsys, "import", tmp_path / "in", "-o", tmp_path / "out", code=1)
+    assert (data["imported"], data["kept"], data["failed"]) == (1, 1, 1)
+    data = run_json(capsys, "import", tmp_path / "in" / "one.gfx_replay.json", "-o", tmp_path / "out")
+    assert data["kept"] == 1
 
 
 def test_pictures_are_complete_and_of_one_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

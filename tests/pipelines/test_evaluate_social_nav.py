@@ -19,7 +19,7 @@ from h3data.metrics.paper.protocol import protocol_deviations
 from h3data.recording import Agent, Episode, Recording
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import cross_play_table
-from h3data_pipelines.jobs.evaluations import chosen_names
+from h3data_pipelines.jobs.evaluations import chosen_names, files_of
 from h3data_pipelines.jobs.policy_table import policy_table
 from sim_kinematic.policies.network import Network, save_network
 
@@ -125,6 +125,38 @@ def test_failed_episodes_are_tried_again(tmp_path: Path, capsys: pytest.CaptureF
 def test_without_results_there_is_no_table_and_no_paper() -> None:
     for table in (policy_table(SOCIAL_NAV_PROFILE, []), cross_play_table([])):
         assert table.to_text() == "No episode could be played: there is no table."
+
+
+def test_policies_of_several_training_seeds_are_one_row() -> None:
+    def row(policy: str, s: float, fd: float | None) -> dict[str, Any]:
+        return {"policy": policy, "values": dict.fromkeys((m.name for m in SOCIAL_NAV_PROFILE.metrics), s) | {"FD": fd}}
+
+    rows = [row("expert", 1.0, 1.0), row("a", 1.0, None), row("a", 1.0, None), row("b", 1.0, 2.0), row("b", 0.0, 4.0)]
+    table = policy_table(SOCIAL_NAV_PROFILE, rows, {"weights:*": ("a", "b")})
+    lines = table.to_text().splitlines()
+    assert [line.split("  ")[0] for line in lines[1:3]] == ["expert", "weights:* (2 seeds)"]
+    assert "standard deviation" in lines[0]
+    assert "0.75 ± 0.35" in lines[2]  # of 1 and 0.5, not of four episodes
+    assert lines[2].split()[-1] == "3.00"  # a alone has no following distance: one mean has no deviation
+    pooled = {cell["metric"]: cell for cell in table.to_dict()["seeds"]}
+    assert pooled["S"]["mean"] == 0.75
+    assert [seed["mean"] for seed in pooled["S"]["seeds"]] == [1.0, 0.5]
+    assert pooled["FD"]["deviation"] is None
+    assert len(table.to_dict()["cells"]) == 3 * len(SOCIAL_NAV_PROFILE.metrics)
+
+
+def test_a_pattern_names_files_of_weights(tmp_path: Path) -> None:
+    for seed in (2, 0, 1):
+        (tmp_path / f"s{seed}").mkdir()
+        (tmp_path / f"s{seed}" / "policy.npz").write_text("")
+    (tmp_path / "s9").mkdir()
+    (tmp_path / "s[1]").write_text("")
+    pattern = f"weights:{tmp_path}/s*/policy.npz"
+    assert files_of(pattern) == tuple(f"weights:{tmp_path}/s{seed}/policy.npz" for seed in (0, 1, 2))
+    for name in ("rollout_expert", "my_package:NET", f"weights:{tmp_path}/none.npz", f"weights:{tmp_path}/s[1]"):
+        assert files_of(name) == (name,)
+    with pytest.raises(InputError, match="No file of weights"):
+        files_of(f"weights:{tmp_path}/x*/policy.npz")
 
 
 def test_only_deviations_from_the_protocol_are_mentioned() -> None:

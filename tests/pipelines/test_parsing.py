@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -14,12 +16,13 @@ import pytest
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import Group, WalkOption
+from h3data_pipelines.commands.converting import Convert
 from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.commands.table import COMMANDS
 from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs
-from h3data_pipelines.options import options_of
+from h3data_pipelines.options import in_python_words, in_shell_words, options_of
 from h3data_pipelines.parsing import parse
 from h3data_pipelines.pictures.viewing import View
 from sim_kinematic.motion.spec import WALKERS
@@ -253,3 +256,50 @@ raise SystemExit(code)
 
 def test_human_walk_names_every_walker() -> None:
     assert set(get_args(WalkOption)) == set(WALKERS)
+
+
+SHELL_AND_PYTHON = [
+    ("--resume goes on, --force replaces it: x", "resume=True goes on, force=True replaces it: x"),
+    ("or another -o: x", "or another out: x"),
+    ("--episodes must be at least 1, got -4.", "episodes must be at least 1, got -4."),
+    ("the same command with --resume goes on", "the same call with resume=True goes on"),
+    ("Hint: --assets DIR or H3DATA_ASSETS", "Hint: assets=DIR or H3DATA_ASSETS"),
+    ("h3data motion import --seed 3 makes one; --seed 3 not", "h3data motion import --seed 3 makes one; seed=3 not"),
+    ("--unknown stays", "--unknown stays"),
+]  # fmt: skip
+PYTHON_AND_SHELL = [
+    ("resume=True goes on, overwrite=True replaces it: x", "--resume goes on, --force replaces it: x"),
+    ("Hint: a larger max_steps=, or another home.", "Hint: a larger --max-steps, or another home."),
+    ("give assets=[DIR]; or leave out with allow_missing=True.", "give --assets DIR; or leave out with --allow-missing."),
+    ("--rule max_steps=900, max_steps=... or strict=True", "--rule max_steps=900, max_steps=... or strict=True"),
+    ("the file walk_seed=3.mcap and x.seed=True", "the file walk_seed=3.mcap and x.seed=True"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("shell", "python"), SHELL_AND_PYTHON)
+def test_python_hears_no_flags(shell: str, python: str) -> None:
+    assert in_python_words(shell, Generate) == python
+
+
+@pytest.mark.parametrize(("python", "shell"), PYTHON_AND_SHELL)
+def test_the_shell_hears_no_parameters(python: str, shell: str) -> None:
+    assert in_shell_words(python, Generate) == shell
+
+
+def test_a_positional_output_is_not_called_o() -> None:
+    assert in_shell_words("or choose another -o: x", Convert) == "or choose another OUT: x"
+
+
+def test_messages_below_the_commands_name_no_flags() -> None:
+    """They reach users of Python, too; the command line translates them (`in_shell_words`)."""
+    found = []
+    for file in (p for package in ("h3data", "sim_kinematic") for p in Path(package).rglob("*.py")):
+        text = file.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)) if "--" in text else ():
+            if isinstance(node, ast.Raise) and node.exc is not None:
+                said = "".join(
+                    c.value for c in ast.walk(node.exc) if isinstance(c, ast.Constant) and isinstance(c.value, str)
+                )
+                said = re.sub(r"(h3data|pip) [a-z]+ [^.]*([.]{3} --[a-z]+)?|--unit-m of h3data motion import", "", said)
+                found += [f"{file}:{node.lineno}" for _ in re.findall(r"(?<![\w-])--[a-z]", said)]
+    assert not found

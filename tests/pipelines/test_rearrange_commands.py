@@ -145,6 +145,12 @@ def test_the_zero_shot_column_is_over_the_four_planners() -> None:
     assert "75 [30, 95]" in table.to_text()
     assert ZSC_TEN_COLUMN not in table.partners
     more = [replace(rows[0], partner=partner, plan=partner) for partner in planners.ZSC_TEN[4:]]
+    other = [replace(row, policy="q", values={**row.values, "SR": 0.25}) for row in rows]
+    seeds = cross_play_table([*rows, *other], seeds={"weights:*": ("p", "q")})
+    assert "weights:* (2 seeds)" in seeds.to_text()
+    assert "50 ± 35" in seeds.to_text()
+    pooled = {(cell["metric"], cell["partner"]): cell["mean"] for cell in seeds.to_dict()["seeds"]}
+    assert pooled["SR", ZSC_COLUMN] == 0.5
     ten = cross_play_table([*rows, *more])
     assert len(planners.ZSC_TEN) == 10
     assert ten.cells["SR", "p", ZSC_COLUMN].mean == 0.75

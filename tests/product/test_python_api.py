@@ -70,8 +70,18 @@ def test_functions_have_the_options_of_their_commands(function: Callable[..., An
 def test_generate_returns_the_dataset(generated: Any) -> None:
     assert (len(generated.dataset), generated.new, generated.failed) == (4, 4, ())
     assert generated.metrics.to_dict()["episodes"]
-    with pytest.raises(InputError, match="not empty"):
+    with pytest.raises(InputError, match="finished episodes"):
         h3data.generate("wander", generated.dataset.root, episodes=1)
+
+
+def test_refusals_name_parameters(generated: Any) -> None:
+    out = generated.dataset.root
+    with pytest.raises(
+        InputError, match=r"a dataset of 4 finished episodes\. resume=True goes on.*force=True replaces it"
+    ):
+        h3data.generate("wander", out, episodes=4, homes=2, max_steps=20)
+    with pytest.raises(InputError, match=r"^episodes must be at least 1, got -1"):
+        h3data.generate("wander", out, episodes=-1, resume=True)
 
 
 def test_view_rerender_and_export_return_files(generated: Any, tmp_path: Path) -> None:

@@ -416,3 +416,62 @@ def test_a_dataset_file_with_a_flipped_bit_in_every_byte(small_dataset, kind, st
             check_dataset(small_dataset)
     finally:
         path.write_bytes(data)
+
+
+KILLED_AT = """
+if not hasattr(os, "fork"):
+    sys.exit("no fork")
+import signal
+recordings = [simple_recording(steps=20, seed=k) for k in range(2)]
+with DatasetWriter(out + "-warm", like=recordings) as writer:  # imports what is imported at first use
+    writer.add(recordings[0])
+
+def run(root, last):
+    count = 0
+    def hook(event, args):
+        nonlocal count
+        first = str(args[0]) if args else ""
+        writes = event in ("os.mkdir", "os.rename", "os.remove") or (event == "open" and args[2] & (os.O_WRONLY | os.O_RDWR))
+        if writes and first.startswith(root):
+            count += 1
+            if count == last:
+                os.kill(os.getpid(), signal.SIGKILL)
+    sys.addaudithook(hook)
+    with DatasetWriter(root, like=recordings) as writer:
+        for recording in recordings:
+            writer.add(recording)
+            writer.commit()
+
+for k in itertools.count(1):
+    root = f"{out}{k}"
+    child = os.fork()
+    if not child:
+        run(root, k)
+        os._exit(0)
+    status = os.waitpid(child, 0)[1]
+    report(k)
+    if status == 0:
+        break
+"""
+
+
+@pytest.mark.slow  # quick: test_a_dataset_that_was_killed_at_once_is_gone_on_with_or_replaced
+def test_a_dataset_killed_at_any_write_is_gone_on_with(tmp_path: Path) -> None:
+    """Kill -9 before each write of a dataset, the first ones included: the folder is never one that nobody takes."""
+    code = [sys.executable, "-c", PRELUDE + KILLED_AT, str(tmp_path / "ds")]
+    reported = subprocess.run(code, stdout=subprocess.PIPE, check=True).stdout.split()
+    folders = [tmp_path / f"ds{int(k)}" for k in reported]
+    assert len(folders) > 10
+    found = []
+    for root in folders:
+        with DatasetWriter(root, resume=True) as writer:
+            found.append(len(writer))
+            for seed in range(len(writer), 2):
+                writer.add(simple_recording(steps=20, seed=seed))
+        dataset = Dataset(root)
+        assert [dataset.recording(k).episode.episode_id for k in range(2)] == [
+            simple_recording(steps=20, seed=k).episode.episode_id for k in range(2)
+        ]
+        assert not list(root.rglob("*.part"))
+    assert found == sorted(found)
+    assert {*found} == {0, 1, 2}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -11,17 +12,19 @@ import numpy as np
 import pytest
 import torch
 
+import h3data
 from bake import packed_policy
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data_pipelines.cli import main
+from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_training.episodes import make_bank, rules
 from h3data_training.networks import ActorCritic, actor_numbers, picture
 from h3data_training.settings import Settings
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import pictured
-from sim_kinematic.policies.learned import PicturedNavigation, navigation_of, network_of
+from sim_kinematic.policies.learned import PicturedNavigation, navigation_of, network_of, stamped
 from sim_kinematic.policies.learned_chooser import learned_chooser
 from sim_kinematic.policies.pictured import FILE_FORMAT, PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.tasks.runner import run
@@ -109,16 +112,19 @@ class Watched(PicturedNavigation):
         return velocity
 
 
-@pytest.mark.parametrize("seen", ["arm_depth", pytest.param("arm_rgb", marks=pytest.mark.slow)])
-def test_device_and_simulator_show_the_same(seen: str) -> None:
+@pytest.mark.parametrize(
+    ("seen", "light"),
+    [("arm_depth", "flat"), *(pytest.param("arm_rgb", light, marks=pytest.mark.slow) for light in ("flat", "baked"))],
+)
+def test_device_and_simulator_show_the_same(seen: str, light: Any) -> None:
     settings = replace(PICTURED, worlds=1, minibatches=1, episodes_per_home=1)
-    settings = settings if seen == "arm_depth" else colored(settings)
+    settings = settings if seen == "arm_depth" else replace(colored(settings), light=light)
     bank = make_bank(settings, seed=4, workers=1)
     spec = replace(rules(settings), max_steps=36)
     task = SocialNav()
     source = EpisodeSource(task, [bank.scenes[0]], spec=spec)
     episode = task.sample(bank.scenes[0], bank.floors[0], int(bank.seeds[0]), spec, source.roster)
-    watched = Watched(untrained(settings))
+    watched = Watched(untrained(settings, light=light))
     run(task.play(episode, task.assign(episode, {"robot": watched}), measure=False))
     worlds = HeldWorlds(settings, bank, device="cpu", compile=False, hold=1)
     shown, _ = worlds.reset(seed=0)
@@ -151,6 +157,88 @@ def test_it_plays_wherever_a_policy_has_a_name(file: Path, tmp_path: Path, capsy
     assert main([*generate, "--robot", "lift_arm", "--policy", f"weights:{file}", "-o", str(tmp_path / "x")]) != 0
     captured = capsys.readouterr()
     assert "drive the robot quad_arm, the episode has lift_arm" in captured.err + captured.out
+
+
+class Eyes:
+    """Keeps the light in which a policy asks for pictures, and shows noise."""
+
+    def __init__(self) -> None:
+        self.lights: list[str] = []
+
+    def __call__(self, names: Any, size: Any, light: str = "flat") -> dict[str, np.ndarray]:
+        self.lights.append(light)
+        rgb = np.random.default_rng(0).integers(0, 256, (size[1], size[0], 3)).astype(np.uint8)
+        return {"arm_rgb": rgb, "humanoid_detector": np.zeros(1, np.float32)}
+
+
+def asked_light(name: str) -> str:
+    """The light in which the policy of a name looks."""
+    eyes = Eyes()
+    network = network_of(name)
+    assert isinstance(network, PicturedNetwork)
+    view = SimpleNamespace(
+        pictures=eyes, step=0, robot_xz=np.zeros(2), robot_heading=0.0, human_xz=np.ones(2), met=False
+    )
+    PicturedNavigation(network)(view, BaseSpec())  # type: ignore[arg-type]
+    (light,) = eyes.lights
+    return light
+
+
+def test_a_policy_is_shown_the_light_it_has_learned_in(tmp_path: Path) -> None:
+    flat, old, baked, depth = (str(tmp_path / f"{name}.npz") for name in ("flat", "old", "baked", "depth"))
+    seeing = untrained(colored(PICTURED))
+    save_pictured(seeing, flat)
+    save_pictured(seeing.in_light("baked"), baked)
+    save_pictured(untrained(), depth)
+    with np.load(flat) as data:
+        card = msgspec.json.decode(str(data["card"]))
+        assert card.pop("light") == "flat"
+        np.savez(old, **{**data, "card": np.array(msgspec.json.encode(card).decode())})  # type: ignore[arg-type]
+    assert [asked_light(f"weights:{file}") for file in (flat, old, baked)] == ["flat", "flat", "baked"]
+    # asked for otherwise, which the recorded name says
+    digest = seeing.digest[:12]
+    assert asked_light(f"weights:{flat}@baked") == asked_light(f"weights:{flat}@{digest}@baked") == "baked"
+    assert stamped(f"weights:{flat}@baked") == f"weights:{flat}@{digest}@baked"
+    assert stamped(f"weights:{flat}@flat") == stamped(f"weights:{flat}") == f"weights:{flat}@{digest}"
+    assert stamped(stamped(f"weights:{flat}@baked")) == f"weights:{flat}@{digest}@baked"
+    # the light decides what it does, where it sees colours; digests of before it was on cards stay
+    assert network_of(f"weights:{old}").digest == seeing.digest != network_of(f"weights:{baked}").digest
+    assert replace(untrained(), card=replace_light(untrained().card)).digest == untrained().digest
+    with pytest.raises(InputError, match="sees no colours"):
+        network_of(f"weights:{depth}@baked")
+
+
+def replace_light(card: PolicyCard) -> PolicyCard:
+    return msgspec.structs.replace(card, light="baked")
+
+
+def test_an_evaluation_shows_policies_the_light_that_is_asked_for(tmp_path: Path) -> None:
+    save_pictured(untrained(colored(PICTURED)), tmp_path / "rgb.npz")
+    save_pictured(untrained(), tmp_path / "depth.npz")
+    names = [f"weights:{tmp_path / name}.npz" for name in ("rgb", "depth")]
+
+    def played(light: Any) -> tuple[str, ...]:
+        policies = ",".join([*names, "end_to_end", "stand_still"])
+        request = EvaluationRequest(task="social_nav", policies=policies, scenes="small:1", episodes=1, light=light)
+        return request.jobs()[0].policies
+
+    own = (*map(stamped, names), "end_to_end", "stand_still")
+    assert played(None) == played("flat") == own
+    assert played("baked") == (f"{own[0]}@baked", *own[1:])
+
+
+def test_a_flat_policy_sees_flat_light_in_an_episode_whose_environment_is_baked() -> None:
+    settings = replace(colored(PICTURED), worlds=1, minibatches=1, episodes_per_home=1)
+    spec, task = replace(rules(settings), max_steps=2), SocialNav()
+    env = h3data.make("social_nav", "small:1", observations=("arm_rgb",), rgb_size=(32, 24), spec=spec)
+    baked = env.reset(seed=3)[0]["arm_rgb"].astype(int)
+    for light in ("flat", "baked"):
+        episode = env.stepper.play.episodes[0]  # type: ignore[attr-defined]
+        watched = Watched(untrained(settings).in_light(light))  # type: ignore[arg-type]
+        run(task.play(episode, task.assign(episode, {"robot": watched}), measure=False))
+        shown = watched.rows[0][0]["arm_rgb"].astype(int)
+        assert (np.abs(shown - baked).mean() < 0.1) == (light == "baked")
+        assert np.abs(shown - baked).mean() > 3 or light == "baked"
 
 
 def test_every_episode_starts_without_memory(file: Path) -> None:

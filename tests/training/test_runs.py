@@ -136,7 +136,7 @@ def test_an_interrupted_run_comes_to_the_same_weights(
 
 @pytest.mark.slow  # quick: those that see depth
 def test_a_run_that_sees_colours_resumes_exactly_and_plays(bank: EpisodeBank, tmp_path: Path) -> None:
-    settings = small(observations=("arm_rgb", "humanoid_detector", "humanoid_gps"))
+    settings = small(observations=("arm_rgb", "humanoid_detector", "humanoid_gps"), light="baked")
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     for folder in (whole, parts):
         folder.mkdir()
@@ -153,6 +153,7 @@ def test_a_run_that_sees_colours_resumes_exactly_and_plays(bank: EpisodeBank, tm
     assert main(["generate", "social_nav", *options.split(), "--policy", policy, "-o", str(tmp_path / "ds")]) == 0
     assert isinstance(first, PicturedNetwork)
     assert first.card.picture_size == (16, 12)
+    assert first.card.light == "baked"
     with pytest.raises(InputError, match="observations="):
         train(tmp_path, SMALL, bank=bank, init=first)
 
@@ -244,6 +245,15 @@ def test_a_second_stage_lets_the_critic_learn_first() -> None:
     assert all(schedule(first, 0.0, update).acts for update in (0, 1))
 
 
+def test_a_longer_horizon_begins_later_in_proportion() -> None:
+    first, second = recipe("fast").looking_ahead(1500), recipe("fast").second_stage().looking_ahead(1500)
+    assert (first.horizon, second.horizon) == ((450.0, 1500.0), (1000.0, 1500.0))
+    assert schedule(second, 1.0, 99).gamma == pytest.approx(1 - 3 / 1500)
+    for steps in (10.0, 0.0, -5.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="horizon"):
+            first.looking_ahead(steps)
+
+
 @pytest.mark.slow
 def test_a_trained_policy_is_where_a_run_begins(whole: Path, bank: EpisodeBank, tmp_path: Path) -> None:
     policy = network_of(f"weights:{whole / POLICY}")
@@ -299,9 +309,14 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
     assert main(["train", "social_nav", "--episodes-per-home", "0", "-o", str(tmp_path / "n")]) == 2
     assert "episodes_per_home of at least 1" in capsys.readouterr().err
     shown = "arm_rgb,humanoid_detector,humanoid_gps"
-    options = ["--recipe", "fast", "--observations", shown, "--dry-run", "--json", "-o", str(tmp_path / "n")]
-    assert main(["train", "social_nav", *options]) == 0
+    options = ["--recipe", "fast", "--observations", shown, "--json", "-o", str(tmp_path / "n")]
+    assert main(["train", "social_nav", *options, "--dry-run"]) == 0
     coloured = json.loads(capsys.readouterr().out)
+    assert coloured["settings"]["light"] == "flat"
+    assert main(["train", "social_nav", "--light", "baked", "--device", "cuda", *options]) == 2
+    assert "colours are in flat light. Hint: --light flat, or --device cpu" in capsys.readouterr().out
+    assert main(["train", "social_nav", "--light", "baked", "--dry-run", "-o", str(tmp_path / "n")]) == 2
+    assert "Light makes no difference to depth" in capsys.readouterr().err
     more = coloured["rollout_bytes"] - plan["rollout_bytes"]
     assert more == 131072 * 64 * 48 * (3 - 1) * 2  # half precision
     assert not (tmp_path / "n").exists()

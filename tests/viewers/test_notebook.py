@@ -11,6 +11,7 @@ import pytest
 
 import h3data
 from h3data.errors import InputError, MissingExtraError
+from h3data.replay.sight import Sight
 from h3data_viewers import notebook
 from h3data_viewers.rerun.rrd_file import ShownRecording, recorded_stream
 from sim_kinematic.motion.spec import SocialNavSpec
@@ -27,6 +28,14 @@ def test_a_recording_is_pictures_facts_and_metrics(recording: Any) -> None:
     assert len(re.findall(r'<img src="data:image/jpeg;base64,[\w+/=]{1000,}"', html)) == notebook.STRIP
     for text in ("social_nav", "12 steps", "rollout_expert", "Finding success"):
         assert text in html
+
+
+def test_pictures_of_a_strip_search_no_smooth_path(recording: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked = []
+    around = Sight.around
+    monkeypatch.setattr(Sight, "around", lambda *given: looked.append(1) or around(*given))
+    recording._repr_html_()
+    assert 0 < len(looked) <= 4 * notebook.STRIP  # 6 in 12 steps with a smooth path, 160 in a long recording
 
 
 def test_text_of_a_recording_is_escaped(recording: Any) -> None:
@@ -57,6 +66,20 @@ def test_datasets_and_metrics_are_tables(recording: Any, tmp_path: Path) -> None
     assert "12 episodes (12 social_nav), 144 steps" in html
     assert "and 2 more" in html
     assert "Finding success" in h3data.measure([recording])._repr_html_()
+
+
+def test_the_metrics_of_an_episode_are_a_table(recording: Any) -> None:
+    measured = h3data.measure(recording)
+    head, *rows = str(measured).splitlines()
+    assert head.split() == ["metric", "value", "unit", "what"]
+    assert rows[0].split()[0] == "S"
+    assert "Finding success" in rows[0]
+    assert "undefined" in str(measured)
+    assert "Notes" in rows
+    assert all(note in str(measured) for note in measured.notes.values())
+    assert all(note in measured._repr_html_() for note in measured.notes.values())
+    assert measured._repr_html_().count("<tr>") == 1 + len(measured.values)
+    assert len(repr(measured)) < 200
 
 
 def test_show_gives_a_video(recording: Any, tmp_path: Path) -> None:

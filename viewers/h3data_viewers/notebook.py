@@ -19,10 +19,11 @@ from h3data.progress import progress
 from h3data.recording import Episodes, Recording
 from h3data.render.image_files import jpeg_data_uri
 from h3data.replay import CameraTrack, Replay, camera_at, camera_track
+from h3data.replay.third_person import third_person_at
 from h3data_viewers.rerun.cameras import scaled
 
 if TYPE_CHECKING:
-    from h3data.metrics import MetricsTable
+    from h3data.metrics import EpisodeMetrics, MetricsTable
 
 Viewer = Literal["rerun", "video"]
 STRIP = 5
@@ -164,6 +165,13 @@ def metrics_table_html(table: MetricsTable) -> str:
     return f"<div>{_table(rows, head)}{note}</div>"
 
 
+def metrics_html(measured: EpisodeMetrics) -> str:
+    """Values of the metrics of an episode, and notes on them, as HTML."""
+    head, *rows = measured.to_rows()
+    marks = [[*row, measured.notes.get(row[0], "")] for row in rows]
+    return _table(marks, [*head, "notes"]) if measured.notes else _table(rows, head)
+
+
 def _strip(recording: Recording) -> str:
     """Pictures evenly spread over a recording, from behind the robot or, without agents, from above."""
     if not len(recording):
@@ -176,7 +184,9 @@ def _strip(recording: Recording) -> str:
         rows = [int(row) for row in np.unique(np.linspace(0, len(recording) - 1, STRIP).round())]
         pictures = []
         for row in rows:
-            camera = camera_at(replay, name, row)
+            # the search for a smooth path, as of a video, would take 95% of the time
+            alone = recording.agents and third_person_at(replay, row, around_s=0.0)
+            camera = alone or camera_at(replay, name, row)
             small = scaled(camera, STRIP_WIDTH / camera.width)
             track = CameraTrack(camera=small, poses=small.pose[None])
             pictures.append(next(iter(replay.frames([track], [row])))[1][0]["rgb"])
@@ -192,19 +202,12 @@ def _strip(recording: Recording) -> str:
 
 
 def _metrics(recording: Recording) -> str:
-    from h3data.metrics import measure_many
+    from h3data.metrics import measure
 
     try:
-        table = measure_many([recording])
+        return metrics_html(measure(recording))
     except H3DataError as error:
         return f'<p style="{_NOTE}">No metrics: {escape(str(error))}</p>'
-    rows = []
-    for metric in table.metrics:
-        value = float(table.columns[metric.name][0])
-        unit = "" if metric.unit == "1" else f" {metric.unit}"
-        number = f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
-        rows.append([metric.name, "undefined" if np.isnan(value) else number + unit, metric.title])
-    return _table(rows)
 
 
 def _table(rows: Sequence[Sequence[object]], head: Sequence[str] = ()) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +15,12 @@ from h3data.geometry import Array, quat_from_axis_angle, quat_multiply, quat_rot
 MAX_BYTES = 1 << 29
 MAX_JOINTS = 1024
 CHANNELS = {f"{axis}{kind}".lower(): (kind, k) for kind in ("position", "rotation") for k, axis in enumerate("XYZ")}
+
+_COMMENT = re.compile(r"(^|\s)(#|//).*")
+
+
+class BvhWarning(UserWarning):
+    """A file has one frame more or less than it says, as some programs write it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,13 +103,12 @@ def read_bvh_file(path: str | Path) -> Bvh:
 
 def parse_bvh(text: str, where: str = "text") -> Bvh:
     """As `read_bvh_file`, from its text; ``where`` is named in errors."""
-    reader = _Reader(text.splitlines(), where)
+    reader = _Reader([_COMMENT.sub("", line) for line in text.splitlines()], where)
     joints = _hierarchy(reader)
     reader.expect("MOTION")
-    reader.expect("Frames:")
+    reader.expect_label("Frames:")
     claimed = reader.count("a number of frames")
-    reader.expect("Frame")
-    reader.expect("Time:")
+    reader.expect_label("Frame Time:")
     frame_s = reader.number()
     if not 2e-4 < frame_s < 1e3:
         raise reader.fault(f"expected seconds per frame, got {frame_s:g}")
@@ -133,6 +140,20 @@ class _Reader:
         found = self.word(keyword)
         if found.lower() != keyword.lower():
             raise self.fault(f"expected {keyword}, got {found[:40]!r}")
+
+    def expect_label(self, label: str) -> None:
+        """Words that end in a colon, which may stand apart from the last one, or beside what follows: ``Frames:524``."""
+        *first, last = label.split()
+        for keyword in first:
+            self.expect(keyword)
+        found = self.word(last)
+        head, colon, tail = found.partition(":")
+        if not colon and self.peek().startswith(":"):
+            colon, tail = ":", self.words.pop()[1:]
+        if head.lower() != last[:-1].lower() or not colon:
+            raise self.fault(f"expected {last}, got {found[:40]!r}")
+        if tail:
+            self.words.append(tail)
 
     def number(self) -> float:
         found = self.word("a number")
@@ -220,6 +241,11 @@ def _values(reader: _Reader, claimed: int, columns: int) -> Array:
         rest += line.split()
     if not columns:
         raise reader.fault("no joint has channels")
+    frames, left_over = divmod(len(rest), columns)
+    if frames and not left_over and abs(frames - claimed) == 1:
+        text = f"BVH: Frames: {claimed}, but the file has {frames}, which are read: {reader.where}"
+        warnings.warn(text, BvhWarning, stacklevel=4)
+        claimed = frames
     if len(rest) != claimed * columns or not claimed:
         raise reader.fault(
             f"Frames: {claimed} with {columns} channels need {claimed * columns} numbers, there are {len(rest)} "

@@ -28,7 +28,10 @@ from h3data.geometry import (
     quat_to_matrix,
 )
 
-BUILTIN_TABLES = ("cmu", "cgspeed", "daz", "mixamo", "rokoko", "xsens", "lafan")
+BUILTIN_TABLES = (
+    "cmu", "cgspeed", "daz", "mixamo", "rokoko", "xsens", "lafan", "smpl", "smplx", "unreal", "biped", "vrm", "vroid",
+    "rigify", "optitrack", "bandai", "biovision",
+)  # fmt: skip
 SIDES = ("left", "right")
 REQUIRED = ("pelvis", *(f"{s}_{j}" for s in SIDES for j in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")))
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
@@ -56,7 +59,7 @@ class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     right, Right and r."""
 
     joints: dict[str, str]
-    """Our name: theirs. Those of `REQUIRED` must be there."""
+    """Our name: theirs, of which only letters and digits count. Those of `REQUIRED` must be there."""
     axes: dict[str, str] = {}
     """Our name: where x, y and z of the joint's frame point in a T-pose, as "up forward left"; for files whose pose without
     rotations is no person."""
@@ -165,7 +168,8 @@ def _both_sides(entries: Mapping[str, str]) -> dict[str, str]:
 
 
 def _bare(name: str) -> str:
-    return name.rpartition(":")[2].lower()
+    """What of a name counts: programs put spaces, dots, hyphens and underscores for each other (``Bip01 L Thigh``)."""
+    return "".join(letter for letter in name.rpartition(":")[2].lower() if letter.isalnum())
 
 
 def _numbers(bvh: Bvh) -> dict[str, int]:
@@ -246,7 +250,7 @@ def _upright(places: Array, index: Mapping[str, int], where: str) -> Array:
     if any(a is None for a in axes) or abs(np.dot(*axes)) > 0.5:  # type: ignore[arg-type]
         raise FormatError(
             "Without rotations this figure does not stand upright (its joint frames follow its bones). Hint: say in a table "
-            f"where the axes point, --names FILE with [axes] (docs/motion.md): {where}"
+            f"where the axes point, names=FILE with [axes] (docs/motion.md): {where}"
         )
     return np.stack([axes[0], axes[1], np.cross(axes[0], axes[1])], axis=1)  # type: ignore[arg-type]
 
@@ -281,7 +285,7 @@ def _corrections(found: _Mapped, places: Array, upright: Array, where: str) -> d
             if np.dot(bone, straight) < np.cos(np.radians(BEND_DEG)):
                 raise FormatError(
                     f"Without rotations, {name} points away from a T-pose by more than {BEND_DEG:g} degrees. Hint: say in "
-                    f"a table where the axes point, --names FILE with [axes] (docs/motion.md): {where}"
+                    f"a table where the axes point, names=FILE with [axes] (docs/motion.md): {where}"
                 )
             turn = _shortest_turn(np.array(straight), bone)
         elif name.startswith(SIDES) and not name.endswith(_OWN_TURN[found.table.feet_follow_shanks]):

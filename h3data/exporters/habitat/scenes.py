@@ -452,7 +452,7 @@ def _refuse(folder: Path, *, force: bool) -> None:
             raise InputError(f"Expected a folder to export to, this is a file: {folder}")
         if not force:
             raise InputError(
-                f"The folder to export to is not empty. Replace it with force (--force), or choose another: {folder}"
+                f"The folder to export to is not empty. Replace it with force=True, or choose another: {folder}"
             )
         configs = [p.read_text(errors="replace") for p in folder.glob("*" + DATASET_ENDING)]
     except OSError as error:

@@ -36,7 +36,7 @@ def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path])
             listed = ", ".join(map(str, distinct[:_LISTED])) + (", ..." if len(distinct) > _LISTED else "")
             raise SceneError(
                 f"{len(distinct)} files fit the object handle {name!r}: {listed}. "
-                "Hint: give the folder of one dataset only (--assets DIR)."
+                "Hint: give the folder of one dataset only (assets=[DIR])."
             )
         if distinct:
             return distinct[0]

@@ -172,7 +172,7 @@ class SceneBuilder:
         if missing and not self.allow_missing:
             raise MissingAssetError(
                 f"{len(missing)} assets of scene {name!r} do not exist. Hint: download the dataset completely, give its "
-                "folders as --assets DIR or in H3DATA_ASSETS, or leave them out (--allow-missing, allow_missing=True). "
+                "folders as assets=[DIR] or in H3DATA_ASSETS, or leave them out with allow_missing=True. "
                 f"The first: {missing[0]}"
             )
         if missing:

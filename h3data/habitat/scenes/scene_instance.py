@@ -150,7 +150,7 @@ def _from_instance(builder: SceneBuilder, dataset: SceneDataset, template: Templ
         if dataset.empty_paths:
             fault += f"; nothing is found below its paths {', '.join(map(repr, dataset.empty_paths[:5]))}"
         if not builder.allow_missing:
-            raise SceneError(f"{fault}. Hint: --allow-missing (allow_missing=True) leaves them out. {where}")
+            raise SceneError(f"{fault}. Hint: allow_missing=True leaves them out. {where}")
         builder.warn(fault)
     _add_lights(builder, dataset, content, where)
     _add_navmesh(builder, dataset, content, where)

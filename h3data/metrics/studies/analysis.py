@@ -19,7 +19,6 @@ from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.metric import NAN, Metric
 from h3data.metrics.profile import Profile
 from h3data.metrics.report_layout import StudyLayout
-from h3data.metrics.table import aligned
 from h3data.stats import (
     Contrast,
     GlmmFit,
@@ -31,6 +30,7 @@ from h3data.stats import (
     relative_efficiency,
     wilson_interval,
 )
+from h3data.terminal import aligned
 
 StepsModel = Literal["auto", "poisson", "observation"]
 Failed = Literal["leave-out", "limit"]

@@ -80,11 +80,11 @@ class PartFile:
         if overwrite:
             return
         if self.final.exists():
-            raise InputError(f"The file exists; choose another name or pass overwrite=True (--force): {self.final}")
+            raise InputError(f"The file exists; choose another name or pass overwrite=True: {self.final}")
         if self.path.exists():
             raise InputError(
                 "An unfinished recording of this name exists. Save it with `h3data recover`, delete it, or pass "
-                f"overwrite=True (--force): {self.path}"
+                f"overwrite=True: {self.path}"
             )
 
 

@@ -41,7 +41,7 @@ def recover_mcap(
     """
     path, out = place(path), local(out)
     if os.path.exists(out) and not overwrite:
-        raise InputError(f"The file exists; choose another name or pass overwrite=True (--force): {out}")
+        raise InputError(f"The file exists; choose another name or pass overwrite=True: {out}")
     log = scan_records(load(path))
     check_kind(log, path)
     finished = log.fault is None and "h3.end" in log.metadata

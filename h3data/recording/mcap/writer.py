@@ -83,7 +83,7 @@ def write_mcap(
         if share_in is not None:
             raise InputError(f"Files can be shared by recordings in a local folder only, not by: {target}")
         if target.exists() and not overwrite:
-            raise InputError(f"The file exists; pass overwrite=True (--force) to replace it: {target}")
+            raise InputError(f"The file exists; pass overwrite=True to replace it: {target}")
         with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
             written = write_mcap(recording, Path(folder) / target.name)
             with open_binary(written) as stream:

@@ -37,6 +37,15 @@ def is_dataset(root: AnyPath) -> bool:
     return (root / "meta" / "info.json").is_file() or (root / "h3" / "schema.json").is_file()
 
 
+def is_begun(root: AnyPath) -> bool:
+    """Whether a folder holds what a process leaves that was killed before a dataset had its schema: ``h3`` with no file that
+    is complete."""
+    here = list(root.iterdir()) if root.is_dir() else []
+    if [path.name for path in here] != ["h3"] or not here[0].is_dir():
+        return False
+    return all(path.name.startswith("schema.json.") and path.name.endswith(".part") for path in here[0].iterdir())
+
+
 def write_atomic(path: AnyPath, data: bytes) -> None:
     """Writes a small file that appears under its name with all of its contents, synced to the disk.
 

@@ -24,7 +24,7 @@ import pyarrow as pa
 
 from h3data.errors import InputError
 from h3data.recording.file_store import FileStore
-from h3data.recording.parquet.files import is_dataset, shard_files, shard_number, write_atomic
+from h3data.recording.parquet.files import is_begun, is_dataset, shard_files, shard_number, write_atomic
 from h3data.recording.parquet.lerobot import FILE_MB, Totals, write_meta
 from h3data.recording.parquet.moments import merge_into
 from h3data.recording.parquet.schema import SIDECARS, STANDARD, DatasetSchema, union_layout
@@ -200,18 +200,19 @@ class DatasetWriter:
             if isinstance(root, Path):
                 root.mkdir(parents=True, exist_ok=True)
             return
-        if not is_dataset(root):
+        begun = is_begun(root)
+        if not (begun or is_dataset(root)):
             raise InputError(f"The folder exists and is not a dataset of h3data; choose another one: {root}")
-        if overwrite:
+        if not (overwrite or resume):
+            raise InputError(
+                "The folder holds a dataset. resume=True goes on with it, overwrite=True replaces it; or choose another "
+                f"folder: {root}"
+            )
+        if overwrite or begun:
             for folder in (root / "meta", root / "data", root / "h3", root / "videos"):
                 remove_tree(folder)
-        elif resume:
-            self._resume()
         else:
-            raise InputError(
-                f"The dataset exists; choose another folder, pass overwrite=True (--force) to replace it, or "
-                f"resume=True to continue it: {root}"
-            )
+            self._resume()
 
     def _claim(self) -> None:
         """Says in an object store, which has no other means, who writes."""
@@ -221,7 +222,9 @@ class DatasetWriter:
     def _require_mine(self, root: RemotePath) -> None:
         mark = root / _WRITER
         if not mark.is_file() or mark.read_bytes() != self._name.encode():
-            raise InputError(f"Another process is writing this dataset; end one of them, go on with --resume: {root}")
+            raise InputError(
+                f"Another process is writing this dataset; end one of them, go on with resume=True: {root}"
+            )
 
     def _resume(self) -> None:
         if not (self.root / "h3" / "schema.json").exists():

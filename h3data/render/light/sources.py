@@ -5,17 +5,29 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.errors import InputError
 from h3data.scene.records import LightSource, Scene, instance_bounds
 
 log = logging.getLogger(__name__)
 
 LightMode = Literal["baked", "flat"]
 """``baked``: windows, sun and lamps light the home (`h3data.render.light`). ``flat``: the same light everywhere."""
+
+
+def check_light(light: object) -> None:
+    """Refuses what is no `LightMode`.
+
+    Raises:
+        InputError: it is none.
+    """
+    if light not in get_args(LightMode):
+        raise InputError(f"Unknown light {light!r}. Expected one of: {', '.join(get_args(LightMode))}.")
+
 
 LAMP_COLOR = (1.0, 0.86, 0.68)
 LAMP_POWER = 3.2

@@ -17,6 +17,7 @@ from h3data.progress import progress
 from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import AnyPath, place
+from h3data.terminal import counted
 from h3data_pipelines.command import (
     ForceFlag,
     JsonFlag,
@@ -25,6 +26,7 @@ from h3data_pipelines.command import (
     claim_file,
     claim_folder,
     remove_dataset,
+    unfinished_dataset,
     uninterrupted,
 )
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
@@ -114,13 +116,17 @@ class Convert:
         parts = episode_parts([self._source], together=_TOGETHER)
         with opened(self.executor, self.workers) as executor:
             if not self.resume:
-                claim_folder(self._out, force=self.force)
+                claim_folder(self._out, force=self.force, unfinished=self._unfinished_logs)
             shards = executor.run(partial(write_logs, self), parts, lost=partial(_lost_logs, self), writes=True)
             with progress(total=len(sources), desc="convert", unit="episode") as bar, closing(shards) as results:
                 for of_part in results:
                     rows += of_part
                     bar.update(len(of_part))
         return rows
+
+    def _unfinished_logs(self) -> str:
+        found = sum(path.suffix == ".mcap" for path in self._out.rglob("*"))
+        return counted(found, "finished log") if found else ""
 
     def target(self, source: StoredEpisode) -> AnyPath:
         """The log's path below the output, as below the input; episode 3 of a dataset becomes ``DATASET/000003.mcap``."""
@@ -163,7 +169,7 @@ class Convert:
         if self.force:
             remove_dataset(self._out)
         if not self.resume:
-            claim_folder(self._out, force=False)
+            claim_folder(self._out, force=False, unfinished=lambda: unfinished_dataset(self._out))
         begun = self.resume and (self._out / "h3" / "schema.json").is_file()
         like, nominal = () if begun else _readable(sources), self.nominal_fps is not None
         cameras = common_cameras(sources)

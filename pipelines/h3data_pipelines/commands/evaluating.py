@@ -11,6 +11,7 @@ import tyro
 
 from h3data.errors import InputError
 from h3data.progress import progress
+from h3data.render.light.sources import LightMode
 from h3data_pipelines.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome, WalkOption
 from h3data_pipelines.execution.executors import ExecutorOption
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
@@ -31,6 +32,7 @@ class Evaluate:
         h3data evaluate rearrange --policies complement,still --partners both,object_1 --episodes 20 -o out/pairs
         h3data evaluate social_nav --scenes h3-homes/test --workers 2 -o out/social_nav
         h3data evaluate social_nav --policies rollout_expert,weights:net.npz --episodes 20 -o out/mine
+        h3data evaluate social_nav --policies "weights:out/s*/policy.npz,rollout_expert" -o out/seeds
         h3data evaluate rearrange --scenes medium --homes 2 --episodes 8 --workers 2 -o out/pairs
         h3data evaluate rearrange --episodes 20 --keep --zsc plan_pop_1 --zsc plan_pop_2 -o out/zsc
         h3data evaluate rearrange --episodes-file val.json.gz --assets data/ -o out/val
@@ -47,7 +49,8 @@ class Evaluate:
     policies: str = ALL
     """Robots, separated by commas. social_nav: rollout_expert, heuristic_expert, sampling_expert, future_oracle,
     learned_follower, end_to_end, random, stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object,
-    still, and the learned learn_single, plan_pop_3_robot and learn_pop; or all."""
+    still, and the learned learn_single, plan_pop_3_robot and learn_pop; or all. weights:out/s*/policy.npz, in quotes, stands
+    for all files that fit: they are one row, the mean over training seeds and its standard deviation."""
     partners: str = ALL
     """rearrange: policies of the person, as --partner of h3data generate, separated by commas: plan_pop_1 to plan_pop_4,
     both, object_1, object_2, still, and the learned learn_single_partner_0 to _2 and learn_pop_partner_0 to _2; or all."""
@@ -82,6 +85,9 @@ class Evaluate:
     """rearrange and skill: learned skills of robots: learned (those that come with the package), a folder of training runs, or
     policy files of h3data train skill, separated by commas (default: none in rearrange, learned for skill). In rearrange also
     oracle, as of h3data generate."""
+    light: LightMode | None = None
+    """Light in the colours that policies are shown: baked, from windows, sun and lamps, or flat, the same everywhere (default:
+    the light that each has learned in). Those that see no colours play as ever."""
     workers: int = 1
     """Processes."""
     executor: ExecutorOption = "local"
@@ -97,6 +103,8 @@ class Evaluate:
         is_skill = self.task == "skill"
         if is_skill and (self.keep or self.zsc or self.policies != ALL or self.partners != ALL):
             raise InputError("Skills are judged with the robot alone: no --policies, --partners, --zsc or --keep.")
+        if is_skill and self.light is not None:
+            raise InputError("Skills see depth, to which light makes no difference. Hint: leave out --light.")
         request = EvaluationRequest(
             task="rearrange" if is_skill else self.task,
             policies="still" if is_skill else self.policies,
@@ -115,6 +123,7 @@ class Evaluate:
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             skills=self.skills or ("learned" if is_skill else ""),
+            light=self.light,
         )
         if is_skill:
             judged = evaluate_skills(

@@ -31,6 +31,7 @@ from h3data_pipelines.command import (
     claim_folder,
     keeping,
     remove_dataset,
+    unfinished_dataset,
     uninterrupted,
 )
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
@@ -155,8 +156,7 @@ class Generate:
     """Camera whose video is added to the dataset (observation.images.<name>), as in rerender; repeatable."""
     people: PeopleOption = "skin"
     light: LightOption = "baked"
-    """Of the videos. Policies and environments that render cameras as they act
-    see flat light: use flat for what is to learn for them."""
+    """Of the videos. Policies that see colours are shown the light that they have learned in."""
     workers: int = 1
     """Processes."""
     executor: ExecutorOption = "local"
@@ -193,7 +193,7 @@ class Generate:
             if self.resume:
                 require_same_options(out, jobs, cameras=self.camera)
             else:
-                claim_folder(out, force=False)
+                claim_folder(out, force=False, unfinished=lambda: unfinished_dataset(out))
             like = widest_episode(jobs)
             with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume, like=like) as writer:
                 done = len(writer)
@@ -256,7 +256,7 @@ class Generate:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
         played = first_played(writer)
         if played is not None and self.camera and (light := played.episode.info.get("light", "flat")) != self.light:
-            raise InputError(f"The videos of {self.out} are in {light} light. Hint: --light {light}")
+            raise InputError(f"The videos of {self.out} are in {light} light, as --light {light} makes them.")
         waiting: list[Filmed] = []
         uncommitted, failures = 0, 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
@@ -323,14 +323,9 @@ class Generate:
 
 
 def _kept(out: AnyPath) -> str:
-    """A line on the episodes that an interrupted run leaves behind."""
-    from h3data.recording import Dataset
-
-    try:
-        count = len(Dataset(out))
-    except H3DataError:  # interrupted before the first commit
-        return ""
-    return f"{counted(count, 'finished episode')} in {out}: the same command with --resume goes on" if count else ""
+    """Say what an interrupted run leaves behind."""
+    held = unfinished_dataset(out)
+    return f"{out} holds {held}: the same command with --resume goes on" if held else ""
 
 
 def _rule(text: str) -> tuple[str, Any]:

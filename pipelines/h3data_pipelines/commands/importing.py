@@ -69,6 +69,9 @@ def _why(row: dict[str, Any]) -> str:
 def _report(result: ImportResult) -> Outcome:
     rows, lines = [file.to_dict() for file in result.files], []
     for row in rows:
+        if row["status"] == "kept":
+            lines.append(f"kept     {row['source']} -> {row['recording']}")
+            continue
         if row["status"] != "imported":
             lines.append(f"{row['status']} {row['source']}: {row['reason']}")
             continue
@@ -88,14 +91,19 @@ def _report(result: ImportResult) -> Outcome:
             made_up = "; ".join(f"{name}: {', '.join(what)}" for name, what in row["synthesised"].items())
             lines.append(f"         not in the file, made up: {made_up}")
         lines += [f"         warning: {w}" for w in row["warnings"]]
-    counts = {status: result.count(status) for status in ("imported", "skipped", "failed")}
+    counts = {status: result.count(status) for status in ("imported", "kept", "skipped", "failed")}
     if len(rows) > 1:
-        lines += ["", _table(rows), "", ", ".join(f"{count} {status}" for status, count in counts.items())]
+        lines += [
+            "",
+            _table(rows),
+            "",
+            ", ".join(f"{count} {status}" for status, count in counts.items() if count or status != "kept"),
+        ]
     lines += result.manifest_notes
     if any(file.summary.get("participant", "").startswith("P-") for file in result.files):
         lines.append(f"Participants are pseudonyms of user ids; the key that links them: {participant_key_path()}")
     data: dict[str, Any] = {**counts, "manifest": list(result.manifest_notes), "files": rows}
     if len(rows) == 1:
         data |= {k: v for k, v in rows[0].items() if k in ("steps", "recording", "bodies", "moving", "agents")}
-    failed = counts["failed"] or not counts["imported"]
+    failed = counts["failed"] or not (counts["imported"] or counts["kept"])
     return Outcome(text="\n".join(lines), data=data, exit_code=1 if failed else 0)

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from h3data.metrics import Metric, Summary
+from h3data.metrics.episode import deviation_lines
 from h3data.metrics.paper.profiles import REARRANGEMENT_PROFILE
 from h3data.metrics.paper.published import published_results
-from h3data.metrics.table import aligned, deviation_lines, summarize
-from h3data.terminal import counted
+from h3data.terminal import aligned, counted
+from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary, cell_dict, cell_of, or_none, rows_of
 
 METRICS = tuple(m for m in REARRANGEMENT_PROFILE.metrics if m.name in REARRANGEMENT_PROFILE.report.columns)
 """Metrics of the paper's table."""
 ZSC_COLUMN, ZSC_TEN_COLUMN, ZSC_NAMED = "ZSC planners", "ZSC ten", "ZSC mean"
 """Heads of the columns of the paper's four planners, of these and six learned partners, and of a population that the user
 names."""
-NOTHING = "No episode could be played: there is no table."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +52,8 @@ class CrossPlayTable:
     episodes: int
     solo_steps: float
     """Mean steps of the person alone."""
+    seeds: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Policies of robots that are one row, by the pattern that names them."""
     deviations: tuple[str, ...] = ()
     """Rules of each result that differ from the paper's."""
 
@@ -62,19 +64,40 @@ class CrossPlayTable:
         blocks = [
             f"{counted(self.episodes, 'episode')}; the person alone takes {self.solo_steps:.0f} steps on average.\n"
             "Rows: policies of the robot. Columns: partners, the policies of the person; ZSC (zero-shot coordination): the "
-            "mean over a population that no robot was trained with. Mean [95% interval]."
+            f"mean over a population that no robot was trained with. Mean [95% interval]{SEEDS_HEAD if self.seeds else ''}."
         ]
         for metric in METRICS:
             lines = [[f"{metric.name}, {metric.title.lower()}{' [%]' if _in_percent(metric) else ''}", *self.partners]]
-            for policy in self.policies:
-                cells = [self.cells.get((metric.name, policy, partner)) for partner in self.partners]
-                lines.append([policy, *(_shown(metric, cell) for cell in cells)])
+            for row, members in rows_of(self.policies, self.seeds).items():
+                lines.append([row, *(self._cell(metric, members, partner) for partner in self.partners)])
             blocks.append(aligned(lines))
         return "\n\n".join([*blocks, "\n".join([_paper_text(), *deviation_lines(self.deviations)])])
 
+    def _cell(self, metric: Metric, members: Sequence[str], partner: str) -> str:
+        if len(members) == 1:
+            return _shown(metric, self.cells.get((metric.name, members[0], partner)))
+        return self._of_seeds(metric, members, partner).to_text(factor=_factor(metric), digits=_digits(metric))
+
+    def _of_seeds(self, metric: Metric, members: Sequence[str], partner: str) -> SeedsSummary:
+        found = {name: self.cells.get((metric.name, name, partner)) for name in members}
+        return SeedsSummary(each={name: cell for name, cell in found.items() if cell is not None})
+
     def to_dict(self) -> dict[str, Any]:
-        """The table as JSON types; NaN becomes None."""
+        """The table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""
+        pooled = [
+            {
+                "metric": metric.name,
+                "policies": pattern,
+                "partner": partner,
+                **self._of_seeds(metric, members, partner).to_dict(),
+            }
+            for metric in METRICS
+            for pattern, members in self.seeds.items()
+            for partner in self.partners
+            if self.cells
+        ]
         return {
+            **({"seeds": pooled} if pooled else {}),
             "policies": list(self.policies),
             "partners": list(self.partners),
             "solo_steps": or_none(self.solo_steps),
@@ -85,13 +108,16 @@ class CrossPlayTable:
         }
 
 
-def cross_play_table(rows: Iterable[Row], zsc: Sequence[str] = ()) -> CrossPlayTable:
+def cross_play_table(
+    rows: Iterable[Row], zsc: Sequence[str] = (), seeds: Mapping[str, Sequence[str]] | None = None
+) -> CrossPlayTable:
     """Returns the table of many results.
 
     Args:
         rows: One for each robot, partner and episode.
         zsc: Partners of the zero-shot population (default: the paper's four planners, and these with six learned partners, if
             all are there).
+        seeds: Policies of robots that are one row, by the pattern that names them.
     """
     from sim_kinematic.policies.rearrange import zsc_populations
 
@@ -114,6 +140,7 @@ def cross_play_table(rows: Iterable[Row], zsc: Sequence[str] = ()) -> CrossPlayT
     solo = {row.index: row.solo_steps for row in rows}
     return CrossPlayTable(
         policies=policies,
+        seeds=seeds or {},
         partners=tuple(groups),
         cells=cells,
         episodes=len(solo),
@@ -122,26 +149,22 @@ def cross_play_table(rows: Iterable[Row], zsc: Sequence[str] = ()) -> CrossPlayT
     )
 
 
-def cell_of(metric: Metric, values: Sequence[float | None]) -> Summary:
-    """Returns the mean of the defined values with its 95% interval; None stands for undefined."""
-    return summarize(metric, np.array([np.nan if v is None else v for v in values], np.float64))
-
-
-def cell_dict(cell: Summary) -> dict[str, float | None]:
-    """Returns mean, interval and number of episodes as JSON types."""
-    ends = {name: or_none(value) for name, value in (("mean", cell.mean), ("low", cell.low), ("high", cell.high))}
-    return {**ends, "episodes": cell.count}
-
-
 def _in_percent(metric: Metric) -> bool:
     return metric.unit == "%" or metric.name in REARRANGEMENT_PROFILE.report.percent
+
+
+def _factor(metric: Metric) -> float:
+    return 100.0 if metric.name in REARRANGEMENT_PROFILE.report.percent else 1.0
+
+
+def _digits(metric: Metric) -> int:
+    return 0 if _in_percent(metric) else 2
 
 
 def _shown(metric: Metric, cell: Summary | None) -> str:
     if cell is None or not cell.count:
         return "-"
-    factor = 100.0 if metric.name in REARRANGEMENT_PROFILE.report.percent else 1.0
-    digits = 0 if _in_percent(metric) else 2
+    factor, digits = _factor(metric), _digits(metric)
     interval = f" [{factor * cell.low:.{digits}f}, {factor * cell.high:.{digits}f}]" if not np.isnan(cell.low) else ""
     return f"{factor * cell.mean:.{digits}f}{interval}"
 
@@ -154,8 +177,3 @@ def _paper_text() -> str:
         of = [values.get(metric.name, ()) for values in (row.train, row.zsc) for metric in METRICS]
         lines.append([row.name, *(f"{v[0]:g} ± {v[1]:g}" if v else "-" for v in of)])
     return f"{aligned(lines)}\n{paper.source}."
-
-
-def or_none(value: float) -> float | None:
-    """Returns the value as JSON has it: None for NaN."""
-    return None if np.isnan(value) else value

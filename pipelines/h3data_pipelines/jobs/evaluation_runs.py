@@ -14,6 +14,7 @@ from typing import Any
 from h3data.errors import InputError
 from h3data.plugins import own_version
 from h3data.recording import Recording
+from h3data.render.light.sources import LightMode
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.jobs.episode_files import FileJobs, notes_on, requested_jobs
 from h3data_pipelines.jobs.episodes import Choices, check_numbers, with_skills
@@ -22,6 +23,7 @@ from h3data_pipelines.jobs.evaluations import (
     Evaluation,
     chosen_names,
     failed_evaluation,
+    files_of,
     play_evaluation,
     write_recordings,
 )
@@ -38,7 +40,7 @@ class EvaluationRequest:
 
     task: str
     policies: str = ALL
-    """Robots, separated by commas, or ``all``."""
+    """Robots, separated by commas, or ``all``. ``weights:PATTERN`` stands for all files that fit, which are one row."""
     partners: str = ALL
     """People, separated by commas, or ``all``."""
     zsc: tuple[str, ...] = ()
@@ -61,6 +63,8 @@ class EvaluationRequest:
     skills: str = ""
     """Learned skills of robots in rearrangement (`sim_kinematic.policies.skills.names.recorded_skills`), or ``oracle``; empty:
     those that know all."""
+    light: LightMode | None = None
+    """Light in the colours that policies are shown; None: that in which each has learned."""
 
     def jobs(self) -> list[Evaluation]:
         """All episodes, or an `InputError` that names the bad option."""
@@ -69,13 +73,15 @@ class EvaluationRequest:
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
         """All episodes, and what a file lacks; an `InputError` names the bad option."""
         from sim_kinematic.policies.assignment import policy_names
+        from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task
 
         check_numbers(
             episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
         )  # fmt: skip
         task = find_task(self.task)
-        policies = chosen_names("--policies", self.policies, policy_names(task, "robot"))
+        named = chosen_names("--policies", self.policies, policy_names(task, "robot"))
+        policies = tuple(dict.fromkeys(in_light(name, self.light) for name in named))
         crosses = "human" in task.defaults and task.crosses_partners
         partners: tuple[str, ...] = ()
         if crosses or self.partners != ALL:
@@ -94,6 +100,18 @@ class EvaluationRequest:
                 task.check_policy(kind, name, choices.spec())
         base = requested_jobs(self, choices, default_scenes=EvaluationRequest.scenes)
         return [Evaluation(job, policies, partners) for job in base.jobs], base
+
+    @property
+    def seeds(self) -> dict[str, tuple[str, ...]]:
+        """Policies that are one row of the table, as they are recorded, by the pattern that names them."""
+        from sim_kinematic.policies.learned import in_light, stamped
+
+        found = {name: files_of(name) for name in (each.strip() for each in self.policies.split(","))}
+        return {
+            pattern: tuple(dict.fromkeys(in_light(stamped(file), self.light) for file in files))
+            for pattern, files in found.items()
+            if len(files) > 1
+        }
 
     @property
     def population(self) -> tuple[str, ...]:
@@ -211,7 +229,7 @@ def evaluate_task(
     rows = [row for result in played for row in result["rows"]]
     result = EvaluationResult(
         folder=out,
-        table=_table(jobs[0], rows, request.population),
+        table=_table(jobs[0], rows, request.population, request.seeds),
         rows=tuple(rows),
         episodes=len(jobs),
         new=new,
@@ -250,12 +268,19 @@ def _asked(request: EvaluationRequest, job: Evaluation) -> dict[str, Any]:
     }
 
 
-def _table(job: Evaluation, rows: list[dict[str, Any]], zsc: Sequence[str]) -> PolicyTable | CrossPlayTable:
+def _table(
+    job: Evaluation, rows: list[dict[str, Any]], zsc: Sequence[str], seeds: dict[str, tuple[str, ...]]
+) -> PolicyTable | CrossPlayTable:
     from h3data.metrics.registry import profile_for
 
     task = job.base.found_task
     if task.crosses_partners:
-        return cross_play_table((Row(**row) for row in rows), zsc)
+        return cross_play_table((Row(**row) for row in rows), zsc, seeds)
     if job.partners:
         rows = [{**row, "policy": f"{row['policy']} with {row['partner']}"} for row in rows]
-    return policy_table(profile_for(task.name, {}, task.profile or None), rows)
+        seeds = {
+            f"{pattern} with {partner}": tuple(f"{policy} with {partner}" for policy in policies)
+            for pattern, policies in seeds.items()
+            for partner in job.partners
+        }
+    return policy_table(profile_for(task.name, {}, task.profile or None), rows, seeds)

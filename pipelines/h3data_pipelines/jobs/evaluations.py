@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -127,17 +128,36 @@ def _plan(task: Any, episode: Any, partner: str | None) -> str:
     return assigned.plan if assigned is not None and assigned.plan else partner
 
 
-def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...]:
-    """Names from a list with commas between, ``all`` among them meaning all there are; learned ones by the digest of their
-    weights.
+def files_of(policy: str) -> tuple[str, ...]:
+    """The policies that ``weights:PATTERN`` names, in the order of their paths; any other name is itself.
+
+    A pattern has ``*``, ``?`` or ``[...]`` as in a shell, ``**`` for any folders; a file of that very name comes first.
 
     Raises:
-        InputError: one is unknown, or there is none.
+        InputError: no file fits the pattern.
+    """
+    from sim_kinematic.policies.learned import PREFIX
+
+    pattern = policy.removeprefix(PREFIX)
+    if not policy.startswith(PREFIX) or not glob.has_magic(pattern) or Path(pattern).is_file():
+        return (policy,)
+    found = sorted(path for path in glob.glob(pattern, recursive=True) if Path(path).is_file())
+    if not found:
+        raise InputError(f"No file of weights fits this pattern: {policy}")
+    return tuple(PREFIX + path for path in found)
+
+
+def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...]:
+    """Names from a list with commas between, ``all`` among them meaning all there are, ``weights:PATTERN`` all files that fit;
+    learned ones by the digest of their weights.
+
+    Raises:
+        InputError: one is unknown, or there is none, or no file fits.
     """
     from sim_kinematic.policies.learned import stamped, weights_hint
 
     asked = [name.strip() for name in text.split(",") if name.strip()]
-    names = tuple(dict.fromkeys(each for name in asked for each in (there if name == ALL else (name,))))
+    names = tuple(dict.fromkeys(each for name in asked for each in (there if name == ALL else files_of(name))))
     strangers = [name for name in names if name not in there and ":" not in name]
     if strangers or not names:
         near = f"{did_you_mean(strangers[0], there)}{weights_hint(strangers[0])}" if strangers else ""

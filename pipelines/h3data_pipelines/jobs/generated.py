@@ -89,8 +89,9 @@ def whose(job: Job) -> str:
 def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Sequence[str] = ()) -> None:
     """Refuses to go on with a dataset whose episodes are not those that ``jobs`` would make, or have other videos."""
     from h3data.recording import Dataset
+    from h3data.recording.parquet.files import shard_files
 
-    if not folder.is_dir() or not any(folder.iterdir()):
+    if not shard_files(folder, "meta/episodes"):  # new, or killed before the first commit
         return
     dataset = Dataset(folder)
     known = {name.replace("/", ".") for name in cameras if not name.lower().endswith((".toml", ".json"))}

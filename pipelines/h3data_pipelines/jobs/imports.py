@@ -33,7 +33,8 @@ class ImportedFile:
     """What became of one file."""
 
     source: Path
-    status: Literal["imported", "skipped", "failed"]
+    status: Literal["imported", "kept", "skipped", "failed"]
+    """Kept: an earlier import has written this very recording."""
     kind: str = "unknown"
     """Name of its format."""
     recording: Path | None = None
@@ -105,7 +106,17 @@ def import_files(
 
 def _kept(files: Sequence[ImportedFile], out: Path) -> str:
     imported = sum(file.status == "imported" for file in files)
-    return f"{counted(imported, 'recording')} in {out}" if imported else ""
+    return f"{counted(imported, 'recording')} in {out}: the same command goes on" if imported else ""
+
+
+def _is_imported(recording: Recording, target: Path) -> bool:
+    """Whether a file holds this very recording, of an import that was interrupted."""
+    from h3data.recording import read_mcap, recordings_equal
+
+    try:
+        return target.is_file() and not recordings_equal(recording, read_mcap(target))
+    except H3DataError:
+        return False
 
 
 def recording_stem(path: Path) -> str:
@@ -200,6 +211,10 @@ class _Importer:
             recording, fitted = self._manifest.applied(recording, job.below)
             if not fitted:
                 self._strangers.append(str(job.below))
+        kind = recording.episode.info.get("source", {}).get("format", form.name)  # a pickle is a HITL log
+        if not self._force and _is_imported(recording, job.target):
+            self._written[job.target] = file.path
+            return ImportedFile(source=job.source, status="kept", kind=kind, recording=job.target)
         claim_file(job.target, force=self._force)
         summary = summarize(recording, self._library)
         faults = [*summary["warnings"], *(f"missing asset {name}" for name in summary["missing"])]
@@ -207,7 +222,6 @@ class _Importer:
             raise InputError(f"--strict: {len(faults)} faults, the first: {'; '.join(faults[:3])}: {file.path}")
         write_mcap(recording, job.target, overwrite=self._force)
         self._written[job.target] = file.path
-        kind = recording.episode.info.get("source", {}).get("format", form.name)  # a pickle is a HITL log
         return ImportedFile(source=job.source, status="imported", kind=kind, recording=job.target, summary=summary)
 
     def _read(self, file: SourceFile, form: Format) -> Recording:

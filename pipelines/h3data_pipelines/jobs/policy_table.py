@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from h3data.metrics import Profile, Summary
-from h3data.metrics.table import aligned, deviation_lines, legend
-from h3data_pipelines.jobs.cross_play import NOTHING, cell_dict, cell_of
+from h3data.metrics.episode import deviation_lines
+from h3data.metrics.table import legend
+from h3data.terminal import aligned
+from h3data_pipelines.jobs.table_cells import NOTHING, SEEDS_HEAD, SeedsSummary, cell_dict, cell_of, rows_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +20,8 @@ class PolicyTable:
     profile: Profile
     cells: dict[tuple[str, str], Summary]
     """By policy and metric."""
+    seeds: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Policies that are one row, by the pattern that names them."""
     deviations: tuple[str, ...] = ()
     """Rules of each result that differ from the paper's."""
 
@@ -27,8 +31,10 @@ class PolicyTable:
             return NOTHING
         names = [metric.name for metric in self.profile.metrics]
         policies = tuple(dict.fromkeys(policy for policy, _ in self.cells))
-        lines = [["Mean [95% interval]", *names]]
-        lines += [[policy, *(_shown(self.cells[policy, name]) for name in names)] for policy in policies]
+        head = "Mean [95% interval]" + (SEEDS_HEAD if self.seeds else "")
+        lines = [[head, *names]]
+        for row, members in rows_of(policies, self.seeds).items():
+            lines.append([row, *(self._cell(members, name) for name in names)])
         published = self.profile.report.published() if self.profile.report.published else None
         if published:
             lines.append([f"{published.paper}, as published", *names])
@@ -37,19 +43,36 @@ class PolicyTable:
         return "\n".join([aligned(lines), legend(self.profile.metrics), *source, *deviation_lines(self.deviations)])
 
     def to_dict(self) -> dict[str, Any]:
-        """The table as JSON types; NaN becomes None."""
-        return {
-            "cells": [
-                {"policy": policy, "metric": metric, **cell_dict(cell)} for (policy, metric), cell in self.cells.items()
-            ]
-        }
+        """The table as JSON types; NaN becomes None. ``seeds`` has the rows of several policies."""
+        cells = [
+            {"policy": policy, "metric": metric, **cell_dict(cell)} for (policy, metric), cell in self.cells.items()
+        ]
+        pooled = [
+            {"policies": pattern, "metric": metric.name, **self._of_seeds(members, metric.name).to_dict()}
+            for pattern, members in self.seeds.items()
+            for metric in self.profile.metrics
+            if self.cells
+        ]
+        return {"cells": cells, **({"seeds": pooled} if pooled else {})}
+
+    def _cell(self, members: Sequence[str], metric: str) -> str:
+        if len(members) == 1:
+            return _shown(self.cells[members[0], metric])
+        return self._of_seeds(members, metric).to_text()
+
+    def _of_seeds(self, members: Sequence[str], metric: str) -> SeedsSummary:
+        return SeedsSummary(each={name: self.cells[name, metric] for name in members if (name, metric) in self.cells})
 
 
-def policy_table(profile: Profile, rows: Iterable[dict[str, Any]]) -> PolicyTable:
-    """Returns the table of the rows that `h3data_pipelines.jobs.evaluations.play_evaluation` makes."""
+def policy_table(
+    profile: Profile, rows: Iterable[dict[str, Any]], seeds: Mapping[str, Sequence[str]] | None = None
+) -> PolicyTable:
+    """Returns the table of the rows that `h3data_pipelines.jobs.evaluations.play_evaluation` makes; ``seeds`` has the
+    policies that are one row."""
     rows = list(rows)
     return PolicyTable(
         profile=profile,
+        seeds=seeds or {},
         cells={
             (policy, metric.name): cell_of(
                 metric, [r["values"].get(metric.name) for r in rows if r["policy"] == policy]

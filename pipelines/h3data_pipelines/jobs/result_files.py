@@ -4,13 +4,14 @@ on where it was."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from h3data.errors import FormatError, InputError
-from h3data_pipelines.command import claim_folder, write_text
+from h3data.terminal import counted
+from h3data_pipelines.command import claim_folder, keeping, write_text
 from h3data_pipelines.execution.executors import check_workers, opened
 from h3data_pipelines.jobs.episodes import Job
 
@@ -85,12 +86,21 @@ def results_of(
         prepare()
         wanted = [job for job in jobs if not (_is_done(files[job.base.index], job) and is_whole(job))]
         bar = (progress or _Quiet)(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode")
-        with bar, closing(workforce.run(work, wanted, lost=lost)) as results:
+        with (
+            keeping(lambda: _kept(files.values(), out)),
+            bar,
+            closing(workforce.run(work, wanted, lost=lost)) as results,
+        ):
             for result in results:
                 stored = store(result)
                 write_text(files[stored["job"]["episode"]["index"]], json.dumps(stored) + "\n")
                 bar.update()
     return [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs], len(wanted)
+
+
+def _kept(files: Iterable[Path], out: Path) -> str:
+    done = sum(file.is_file() for file in files)
+    return f"results of {counted(done, 'episode')} in {out}: the same command goes on"
 
 
 def write_table(out: Path, text: str, data: dict[str, Any]) -> None:

@@ -32,7 +32,9 @@ def run_folder(
     Raises:
         InputError: the folder is not empty, the disk is full, or there is no such device.
     """
-    folder, needed = claim_folder(out, force=force or resume), 2 * checkpoint_bytes
+    left = any(path for pattern in LEFT for path in out.glob(pattern))
+    unfinished = "a training run" if left else ""
+    folder, needed = claim_folder(out, force=force or resume, unfinished=lambda: unfinished), 2 * checkpoint_bytes
     free = shutil.disk_usage(folder).free
     if free < needed:
         raise InputError(

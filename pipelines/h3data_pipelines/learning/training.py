@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from h3data.errors import InputError
+from h3data.render.light.sources import LightMode
 from h3data.terminal import counted
 from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome
 from h3data_pipelines.learning.folders import run_folder
@@ -23,10 +24,10 @@ if TYPE_CHECKING:
 
 OF_REARRANGE = ("population", "workers", "episodes_file", "without")
 """Options that only rearrange has,"""
-OF_SOCIAL_NAV = ("recipe", "observations", "hold", "init", "rollout", "minibatches", "follow_steps")
+OF_SOCIAL_NAV = ("recipe", "observations", "light", "hold", "init", "rollout", "minibatches", "follow_steps", "horizon")
 """those that only social_nav and skills have, beside the number of GPUs,"""
-NOT_OF_SKILLS = (*OF_REARRANGE, "walk", "follow_steps")
-"""and those that skills do not have: nobody else is there."""
+NOT_OF_SKILLS = (*OF_REARRANGE, "walk", "follow_steps", "light")
+"""and those that skills do not have: nobody else is there, and they see depth."""
 TASKS = "social_nav, rearrange or skill"
 
 
@@ -100,6 +101,9 @@ class Train:
     humanoid_gps,range_scan); there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, way and
     range_scan. Skills: arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor,
     resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else all but arm_depth)."""
+    light: LightMode | None = None
+    """Light in colours (arm_rgb): flat, the same everywhere, or baked, from windows, sun and lamps, which needs --device cpu.
+    The policy's card says it, and it is shown the same wherever it plays (default: flat)."""
     worlds: int | None = None
     """Worlds that are stepped at once. rearrange: episodes of an update, with oracle skills and the paper's people, on --device
     (default: none; episodes have our full rules and are played by --workers)."""
@@ -121,6 +125,9 @@ class Train:
     """Parts of a rollout that are learned from one after the other (default: 4)."""
     follow_steps: int | None = None
     """Cut training episodes short after so many steps of following, so that they hold more finding (default: 0, never)."""
+    horizon: float | None = None
+    """Steps of 1/30 s that the value looks ahead at the end of the run; at its start in proportion (default: 500 from 150,
+    with --init 750 from 500). A contact costs what is ahead of it, so a longer horizon makes a robot more careful."""
     resume: bool = False
     """Go on from the checkpoint in the folder; begins where there is none."""
     dry_run: DryRunFlag = False
@@ -147,12 +154,15 @@ class Train:
             whose = "other tasks" if self.task == "skill" else "rearrange"
             raise InputError(f"Options of {whose}, not of {self.task}: {', '.join(strangers)}.")
         from h3data_training.ranks import torchrun_place
-        from h3data_training.run import describe, train
+        from h3data_training.run import describe, require_light, train
 
         name, settings = self._settings()
+        require_light(settings, self.device)
         first = None if self.init is None else _first(self.init)
         if first is not None:
             settings = settings.second_stage()
+        if self.horizon is not None:
+            settings = settings.looking_ahead(self.horizon)
         if self.dry_run:
             data = {"settings": settings.as_dict(), "out": str(self.out), **_cost(settings)}
             return Outcome(text=f"{describe(settings)}\n{_plan(settings)}\nNothing has been done.", data=data)
@@ -177,7 +187,7 @@ class Train:
             "minutes": self.minutes, "updates": self.updates, "scenes": self.scenes,
             "episodes_per_home": self.episodes_per_home, "worlds": self.worlds,
             "hold": self.hold, "observations": shown, "robot": self.robot, "rollout": self.rollout,
-            "minibatches": self.minibatches,
+            "minibatches": self.minibatches, "light": self.light,
         }  # fmt: skip
         name = self.recipe or "tiny"
         if self.task == "skill":

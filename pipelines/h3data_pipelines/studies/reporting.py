@@ -246,7 +246,7 @@ def write_rows(path: Path, rows: Sequence[Sequence[str | float]]) -> None:
         csv.writer(file).writerows([spreadsheet_cell(cell) for cell in row] for row in rows)
 
 
-_STAMPED = re.compile(r"weights:(?:.*/)?(?P<file>[^/]+)@(?P<digest>[0-9a-f]{12})")
+_STAMPED = re.compile(r"weights:(?:.*/)?(?P<file>[^/]+)@(?P<digest>[0-9a-f]{12})(?P<light>@baked|@flat|)")
 
 
 def _by_policy(episodes: Sequence[ReportEpisode], names: dict[str, str]) -> tuple[ReportEpisode, ...]:
@@ -256,7 +256,8 @@ def _by_policy(episodes: Sequence[ReportEpisode], names: dict[str, str]) -> tupl
     for e in episodes:
         policy = e.policy
         if stamp := _STAMPED.fullmatch(policy):
-            policy = names.setdefault(stamp["digest"], f"weights:{stamp['file']}@{stamp['digest']}")
+            plays = stamp["digest"] + stamp["light"]
+            policy = names.setdefault(plays, f"weights:{stamp['file']}@{plays}")
         found.append(replace(e, policy=policy, condition=policy or e.condition if e.condition else ""))
     return tuple(found)
 

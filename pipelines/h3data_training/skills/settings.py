@@ -16,7 +16,7 @@ OF_THE_ARM = (*OF_THE_BASE, "target_sensor", "resting_sensor", "arm_joints", "is
 GRIPS: dict[Skill, float] = {"pick": 2.0, "place": 1.6}
 """The command of the hand around which an actor explores at first. One that lets go at random never gets to know what comes
 after: around 1, robots learned not to take anything, since they dropped it again."""
-UNUSED = ("human", "walk", "follow_steps", "near_m", "critic_updates")
+UNUSED = ("human", "walk", "follow_steps", "near_m", "critic_updates", "light")
 """Settings of social navigation that mean nothing here."""
 
 

@@ -260,7 +260,7 @@ def draw_episode(
     raise SceneError(
         f"Found no {spec.objects} objects and goals in {scene.name!r} within reach of both agents in "
         f"{ATTEMPTS + THOROUGH_ATTEMPTS} attempts "
-        f"({why}). Hint: a larger --max-steps, or another home."
+        f"({why}). Hint: a larger max_steps=, or another home."
     )
 
 

@@ -37,7 +37,7 @@ def errands_of(episode: RearrangeEpisode, number: int) -> Errands:
     if number not in known:
         if episode.scene.articulations:
             raise InputError(
-                f"Oracle skills open nothing, and {episode.scene.name} has doors or drawers. Hint: other --scenes, or "
+                f"Oracle skills open nothing, and {episode.scene.name} has doors or drawers. Hint: other scenes, or "
                 "rules without oracle."
             )
         known[number] = _errands(episode, number)

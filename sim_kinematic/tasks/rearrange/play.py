@@ -18,6 +18,7 @@ from h3data.geometry import Array
 from h3data.kernels import kernel
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.recording.records import JOINTS
+from h3data.render.light.sources import LightMode
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import AJAR, joint_names
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
@@ -523,7 +524,9 @@ class RearrangePlay:
             for actor in self.actors
         ]
 
-    def pictures(self, agent: int, names: Sequence[str], size: tuple[int, int] | None) -> dict[str, NDArray[Any]]:
+    def pictures(
+        self, agent: int, names: Sequence[str], size: tuple[int, int] | None, light: LightMode = "flat"
+    ) -> dict[str, NDArray[Any]]:
         """Named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`: arms and hands where they are, objects where
         they lie or are held, doors and drawers where they last came to rest."""
         from sim_kinematic.sensing.eyes import see
@@ -538,6 +541,8 @@ class RearrangePlay:
             size=size,
             objects=self.objects.names,
             frames=self.frames(),
+            light=light,
+            lit_as=self.episode.scene,
         )
 
     def snapshot(self) -> Row:

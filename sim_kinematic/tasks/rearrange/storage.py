@@ -115,7 +115,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         spec: RearrangeSpec = place.spec
         count = len(record.goals) + len(record.placements)
         if spec.objects != count:
-            raise InputError(f"The episode has {count} objects: leave out --rule objects={spec.objects}.")
+            raise InputError(f"The episode has {count} objects: leave out the rule objects={spec.objects}.")
         pair = (
             place.robot or record.robot.removeprefix("robot/") or ROBOT_BODY,
             with_body(place.human, record.human.removeprefix("humanoid/")),

@@ -90,7 +90,7 @@ def sample_pair_starts(
     )
     raise SceneError(
         f"Found no start poses {spec.spawn_distance_m} m apart with a free base in 200 attempts (the farthest pair was "
-        f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller --spawn-distance, or a larger home."
+        f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller spawn_distance=, or a larger home."
     )
 
 

@@ -174,6 +174,54 @@ def _along_bones(name: str) -> Rotation:
 
 
 ONE = Rotation.identity()
+TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
+LIMBS = ("hip", "knee", "ankle", "foot", "collar", "shoulder", "elbow", "wrist")
+
+
+def _named(trunk: str, limbs: str, side: str) -> dict[str, str]:
+    """Names by ours, ``-`` for none; of limbs ``side`` with the name in the place of *."""
+    names = {ours: theirs for ours, theirs in zip(TRUNK, trunk.split(), strict=True) if theirs != "-"}
+    for own in ("left", "right"):
+        form = side.format(side=own, Side=own.capitalize(), s=own[0], S=own[0].upper())
+        names |= {f"{own}_{ours}": form.replace("*", name) for ours, name in zip(LIMBS, limbs.split(), strict=True)}
+    return names
+
+
+SCHEMES: dict[str, dict[str, str]] = {
+    "smpl": _named(
+        "f_avg_Pelvis f_avg_Spine1 f_avg_Spine2 f_avg_Spine3 f_avg_Neck f_avg_Head",
+        "Hip Knee Ankle Foot Collar Shoulder Elbow Wrist", "f_avg_{S}_*",
+    ),
+    "smplx": _named(
+        "pelvis spine1 spine2 spine3 neck head", "hip knee ankle foot collar shoulder elbow wrist", "{side}_*",
+    ),
+    "unreal": _named(
+        "pelvis spine_01 spine_02 spine_03 neck_01 head", "thigh calf foot ball clavicle upperarm lowerarm hand", "*_{s}",
+    ),
+    "biped": _named(
+        "Bip01_Pelvis Bip01_Spine Bip01_Spine1 Bip01_Spine2 Bip01_Neck Bip01_Head",
+        "Thigh Calf Foot Toe0 Clavicle UpperArm Forearm Hand", "Bip01 {S} *",
+    ),
+    "vrm": _named(
+        "hips spine chest upperChest neck head",
+        "UpperLeg LowerLeg Foot Toes Shoulder UpperArm LowerArm Hand", "{side}*",
+    ),
+    "vroid": _named(
+        "J_Bip_C_Hips J_Bip_C_Spine J_Bip_C_Chest J_Bip_C_UpperChest J_Bip_C_Neck J_Bip_C_Head",
+        "UpperLeg LowerLeg Foot ToeBase Shoulder UpperArm LowerArm Hand", "J_Bip_{S}_*",
+    ),
+    "rigify": _named(
+        "DEF-spine DEF-spine.001 DEF-spine.002 DEF-spine.003 DEF-spine.004 DEF-spine.006",
+        "thigh shin foot toe shoulder upper_arm forearm hand", "DEF-*.{S}",
+    ),
+    "optitrack": _named("Hip Ab - Chest Neck Head", "Thigh Shin Foot Toe Shoulder UArm FArm Hand", "{S}*"),
+    "bandai": _named(
+        "Hips Spine - Chest Neck Head", "UpperLeg LowerLeg Foot Toes Shoulder UpperArm LowerArm Hand", "*_{S}",
+    ),
+    "biovision": _named("Hips - - Chest Neck Head", "UpLeg LowLeg Foot Toe Collar UpArm LowArm Hand", "{Side}*"),
+}  # fmt: skip
+"""Names of joints as these programs write them, by ours."""
+
 CONVENTIONS: dict[str, tuple] = {
     "mixamo": (MIXAMO, "ZXY", 100.0, lambda name: ONE, ONE),
     "cmu": (CMU, "ZYX", 1 / 0.0564444, _spread, ONE),
@@ -183,6 +231,7 @@ CONVENTIONS: dict[str, tuple] = {
     "daz": (DAZ, "ZYX", 1 / 0.0254, _spread, ONE),
     "lafan": (LAFAN, "ZYX", 100.0, _along_bones, ONE),
     "z_up": (MIXAMO, "XYZ", 1.0, lambda name: ONE, Z_UP),
+    **{name: (names, "ZXY", 100.0, lambda name: ONE, ONE) for name, names in SCHEMES.items()},
 }
 """Names, order of rotations, units per metre, frame of a joint in a T-pose, world."""
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from h3data.bodies import JOINT_INDEX, load_humanoid
 from h3data.bodies.motion.amass import read_amass
-from h3data.bodies.motion.bvh import parse_bvh
+from h3data.bodies.motion.bvh import BvhWarning, parse_bvh
 from h3data.bodies.motion.bvh_motion import load_name_table, read_bvh
 from h3data.bodies.motion.habitat_motion import read_habitat_motion
 from h3data.bodies.motion.motion_clip import Motion, in_start_frame, same_motion
@@ -23,6 +23,7 @@ from h3data.bodies.motion.motion_files import ReadOptions, load_motion, motion_k
 from h3data.errors import FormatError, H3DataError, InputError
 from tests.bodies.motion.motion_writers import (
     CONVENTIONS,
+    SCHEMES,
     amass_arrays,
     bvh_text,
     placed,
@@ -220,7 +221,7 @@ def test_real_habitat_motion_files(real: Path) -> None:
 
 # --- BVH ------------------------------------------------------------------------------------------------------------------
 @pytest.mark.filterwarnings("ignore:Gimbal lock")
-@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("convention", [name for name in CONVENTIONS if name not in SCHEMES])
 @pytest.mark.parametrize("name", ["male_1", "female_3"])
 def test_bvh_joints_are_where_they_were(convention: str, name: str, tmp_path: Path) -> None:
     """FK of the BVH by its own rules, and ours of what was read, agree on wrists, ankles and head to 0.1 % of the limbs."""
@@ -248,6 +249,42 @@ def test_a_prefix_of_all_names_does_not_count(walk: Motion, tmp_path: Path, pref
         path.write_text(re.sub(r"(ROOT|JOINT) ", rf"\1 {begins}", text))
     plain, prefixed = map(read_bvh, paths)
     np.testing.assert_array_equal(prefixed.quats, plain.quats)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_joints_are_known_by_the_names_of_many_programs(walk: Motion, tmp_path: Path, scheme: str) -> None:
+    (tmp_path / "m.bvh").write_text(bvh_text(load_humanoid("male_1"), walk, scheme))
+    found = read_bvh(tmp_path / "m.bvh")
+    assert f"({scheme} names)" in found.source
+    index = [
+        JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right") for joint in ("hip", "knee", "shoulder", "elbow")
+    ]
+    np.testing.assert_allclose(found.quats[:, index], walk.quats[:, index], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("Frames: 2", "Frames:2"),
+        ("Frames: 2", "Frames : 2"),
+        ("Frame Time: 0.0333333", "Frame Time:0.0333333"),
+        ("Frame Time: 0.0333333", "Frame Time: 0.0333333  // 30 frames a second"),
+        ("ROOT Hips", "ROOT Hips # the pelvis"),
+        ("0 90 1 0 0 0 1 2 3\n", "0 90 1 0 0 0 1 2 3\n# the end\n"),
+    ],
+)
+def test_files_of_other_programs_are_read(before: str, after: str) -> None:
+    plain, other = parse_bvh(SMALL), parse_bvh(SMALL.replace(before, after, 1))
+    assert SMALL.replace(before, after, 1) != SMALL
+    assert (other.joints, other.frame_s) == (plain.joints, plain.frame_s)
+    np.testing.assert_array_equal(other.values, plain.values)
+
+
+@pytest.mark.parametrize("claimed", [1, 3])
+def test_one_frame_more_or_less_than_claimed_is_read_with_a_warning(claimed: int) -> None:
+    with pytest.warns(BvhWarning, match=f"Frames: {claimed}, but the file has 2"):
+        found = parse_bvh(SMALL.replace("Frames: 2", f"Frames: {claimed}"))
+    np.testing.assert_array_equal(found.values, parse_bvh(SMALL).values)
 
 
 def test_bvh_fk_by_hand() -> None:
@@ -306,7 +343,9 @@ Frame Time: 0.0333333
         ("JOINT Spine", "JOINT", "no name"),
         ("OFFSET 0 10 0\n    C", "OFFSET 0 ten 0\n    C", "line 8: expected a number, got 'ten'"),
         ("OFFSET 0 10 0\n    C", "OFFSET 0 nan 0\n    C", "finite number"),
-        ("Frames: 2", "Frames: 3", "3 with 9 channels need 27 numbers, there are 18"),
+        ("Frames: 2", "Frames: 4", "4 with 9 channels need 36 numbers, there are 18"),
+        ("1 2 3\n0 ", "1 2 3\n", "2 with 9 channels need 18 numbers, there are 17"),
+        ("Frames: 2", "Frames 2", "expected Frames:, got 'Frames'"),
         ("Frames: 2", "Frames: 900000000", "the file is cut off"),
         ("Frames: 2", "Frames: -2", "expected a number of frames"),
         ("0.0333333", "0", "seconds per frame"),

@@ -340,13 +340,19 @@ def test_make_gives_it_for_a_device() -> None:
     env.close()
 
 
-def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank) -> None:
+def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank, caplog: pytest.LogCaptureFixture) -> None:
     def wrong(match: str, **options: Any) -> None:
         with pytest.raises(InputError, match=match):
             SocialNavTorchEnv(**{"num_envs": 1, "device": "cpu", "episodes": bank, "spec": RULES, **options})
 
     wrong("humanoid_gps", observations=("rgb",))
     wrong("CUDA", observations=("arm_depth",))
+    wrong("On a device colours are in flat light. Hint: light='flat'", observations=("arm_rgb",), light="baked")
+    wrong("CUDA", observations=("arm_rgb",), light="flat")
+    assert not caplog.records
+    wrong("CUDA", observations=("arm_rgb",))
+    assert "arm_rgb on a device is in flat light" in caplog.text
+    wrong("Unknown light 'sunny'", light="sunny")
     wrong("paper", reward="habitat")
     wrong("whole number", num_envs=0)
     wrong("Unknown device", device="toaster")

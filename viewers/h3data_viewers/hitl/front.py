@@ -8,6 +8,7 @@ import hashlib
 import ipaddress
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ import msgspec
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from h3data_viewers.hitl.connections import (
+    BODY_S,
+    PING_S,
     Connection,
     Failed,
     Live,
@@ -22,11 +25,10 @@ from h3data_viewers.hitl.connections import (
     require_known_host,
     require_own_origin,
     strict,
-    swallow,
 )
 from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode, read_json
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, recording_name
-from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token
+from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token, uptime
 from h3data_viewers.hitl.workers import Preparer, WorkerProcess, Workers
 
 PAGE = Path(__file__).parent / "web" / "dist"
@@ -43,6 +45,11 @@ SEAT_S = 86400
 """A browser keeps its seat for so long."""
 SEATS_PER_ADDRESS = 12
 """Seats that one network address may have at once: a class in a lab, not a flood."""
+LOADING_S = 60.0
+"""Who has taken a seat and does not connect, because the home is still loading, keeps it for so long."""
+AWAY_S = 20.0
+"""Where there is no key, a browser that was connected keeps its seat for so long; with the link's key another one may have it
+at once."""
 BEGIN_S, POST_BYTES = 90.0, 64 * 1024
 ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
 
@@ -58,6 +65,12 @@ def network(address: str) -> str:
     return str(parsed.ipv4_mapped or ipaddress.ip_network((parsed, 64), strict=False))
 
 
+def _sent(request: web.Request, task: asyncio.Task[None]) -> None:
+    """Nothing more is sent to a socket. One that took nothing for long, or broke, ends its reader too."""
+    if not task.cancelled() and task.exception() is not None and request.transport is not None:
+        request.transport.abort()
+
+
 class Front:
     """All seats and games of one plan."""
 
@@ -67,7 +80,7 @@ class Front:
         self, plan: PlayPlan, *, workers: int = 1, tables: int = 1, open_door: bool = True, secure: bool = False,
         report: Callable[[dict[str, Any]], None] = lambda _: None, plans: Sequence[PlayPlan] = (),
         journal: Journal | None = None, seats_per_address: int = SEATS_PER_ADDRESS, behind_proxy: bool = False,
-        hosts: Sequence[str] = (),
+        hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
     ) -> None:  # fmt: skip
         """
         Args:
@@ -82,8 +95,9 @@ class Front:
             seats_per_address: Seats at once of one network address.
             behind_proxy: Whether the address is the one that the proxy names (``X-Forwarded-For``).
             hosts: Names by which browsers may reach it beside loopback and addresses; ``*.example.org`` has any first label.
+            clock: Seconds since some moment, by which it is told who has been away for long.
         """
-        self.plan, self.secure, self.report = plan, secure, report
+        self.plan, self.secure, self.report, self.clock = plan, secure, report, clock
         self.tables = tables if len(plan.players) == 1 else 1
         self.open_door = open_door and len(plan.players) == 1
         self.journal = Journal(Path(plan.out)) if journal is None else journal
@@ -96,6 +110,13 @@ class Front:
         self.seats_per_address, self.behind_proxy, self.hosts = seats_per_address, behind_proxy, hosts
         self._addresses: dict[str, set[str]] = {}
         """Seats by address; in memory only: addresses of people are not stored."""
+        self._loading: dict[str, float] = {}
+        """When seats were given to browsers that have not connected since, by the clock."""
+        self._gone: dict[str, float] = {}
+        """When browsers were last connected to their seats, if not since this server began."""
+        self._began = clock()
+        self._left: set[str] = set()
+        """Seats that other browsers have now, under other names."""
         self.finishes = True
         """Whether recordings are finished when the server stops; else the next server goes on with them."""
 
@@ -160,9 +181,10 @@ class Front:
         if seat is None:
             self._require_room_at(request)
             token = new_token()
-            seat = self._new_seat(token, number)
+            seat = self._new_seat(token, number, has_key="key" in request.match_info)
             self._note_address(request, seat)
         live = self._game_for(seat)
+        self._loading[seat.sid] = self.clock()
         try:
             begun = await asyncio.wait_for(asyncio.shield(live.begun), BEGIN_S)
         except TimeoutError:
@@ -190,7 +212,11 @@ class Front:
         if request.content_type != "application/json":
             raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
         try:
-            return read_json(await request.read(), msgspec.json.Decoder(kind))
+            async with asyncio.timeout(BODY_S):
+                text = await request.read()
+            return read_json(text, msgspec.json.Decoder(kind))
+        except TimeoutError:
+            raise web.HTTPRequestTimeout(text="The request did not come to its end.") from None
         except msgspec.MsgspecError as fault:
             raise web.HTTPBadRequest(text=f"The request is not what was expected: {fault}") from None
 
@@ -209,21 +235,37 @@ class Front:
         name = hashlib.sha256(self.journal.links[number].encode()).hexdigest()[:8]
         return f"h3data_seat_{name}"
 
-    def _new_seat(self, token: str, number: int) -> Seat:
+    def _new_seat(self, token: str, number: int, *, has_key: bool) -> Seat:
         if self.plan.seats[number] == "spectator":
             if sum(seat.number == number for seat in self.journal.seats.values()) >= MOST_SPECTATORS:
                 raise web.HTTPServiceUnavailable(text="There are too many spectators already.")
             return self.journal.sit(token, 0, number)
         if self.tables == 1:
-            if self.journal.taken(0, number) is not None:
-                raise web.HTTPConflict(text="Somebody plays here already, in another browser.")
-            return self.journal.sit(token, 0, number)
+            seat = self.journal.taken(0, number)
+            if seat is None:
+                return self.journal.sit(token, 0, number)
+            if self._is_attended(seat, 0.0 if has_key else AWAY_S):
+                raise web.HTTPConflict(
+                    text="Somebody plays here already, in another browser. Close the page there and try again here."
+                )
+            self._left.add(seat.sid)
+            return self.journal.hand_over(seat, token)
         places = {seat.place for seat in self.journal.seats.values()}
         going = sum(not game.over for game in self.journal.games.values())
         if going >= self.tables:
             raise web.HTTPServiceUnavailable(text="All places are taken. Try again in a minute.")
         self._require_capacity()
         return self.journal.sit(token, max(places, default=-1) + 1, number)
+
+    def _is_attended(self, seat: Seat, away_s: float) -> bool:
+        """Whether a seat's browser is connected, has been within the last ``away_s`` [s], or may just be loading the home."""
+        now = self.clock()
+        if (
+            now - self._loading.get(seat.sid, -LOADING_S) < LOADING_S
+            or now - self._gone.get(seat.sid, self._began) < away_s
+        ):
+            return True
+        return any(seat.sid in live.sockets for live in self.lives.values())
 
     def _require_capacity(self) -> None:
         if not self.workers.active or self.workers.least_busy().with_one_more > MOST_BUSY:
@@ -389,10 +431,15 @@ class Front:
         number = self._seat_number(request)
         seat = self.journal.seats.get(request.match_info["sid"])
         token = request.cookies.get(self._cookie(number), "")
+        if request.match_info["sid"] in self._left:
+            socket = web.WebSocketResponse(timeout=2.0)
+            await socket.prepare(request)
+            await socket.close(code=ELSEWHERE, message=b"opened elsewhere")
+            return socket
         if seat is None or seat.number != number or self.journal.owner(token, number) is not seat:
             raise web.HTTPForbidden(text="This is not your seat.")
         game = self.journal.games.get(seat.game)
-        socket = web.WebSocketResponse(compress=False, max_msg_size=MOST_BYTES, heartbeat=10.0, timeout=2.0)
+        socket = web.WebSocketResponse(compress=False, max_msg_size=MOST_BYTES, heartbeat=PING_S, timeout=2.0)
         await socket.prepare(request)
         if game is None or game.over:
             await socket.close(code=GONE, message=b"the session has ended")
@@ -403,7 +450,7 @@ class Front:
         except (Failed, TimeoutError, web.HTTPException):
             await socket.close(code=RESTARTING)
             return socket
-        connection = Connection(socket, self._agent(seat, begun))
+        connection = Connection(socket, self._agent(seat, begun), self.clock())
         before = live.sockets.get(seat.sid)
         live.sockets[seat.sid] = connection
         if before is not None:
@@ -412,13 +459,15 @@ class Front:
                 await asyncio.wait_for(before_closes, 1.0)
         live.worker.send("here", game.key, {"agent": connection.agent, "here": True})
         sending = asyncio.create_task(connection.send())
-        sending.add_done_callback(swallow)
+        sending.add_done_callback(partial(_sent, request))
+        self._loading.pop(seat.sid, None)
         try:
             await self._listen(live, connection, socket)
         finally:
             sending.cancel()
             if live.sockets.get(seat.sid) is connection:
                 del live.sockets[seat.sid]
+                self._gone[seat.sid] = self.clock()
                 if not any(c.agent == connection.agent for c in live.sockets.values()) and not game.over:
                     live.worker.send("here", game.key, {"agent": connection.agent, "here": False})
         return socket
@@ -442,7 +491,7 @@ class Front:
             if isinstance(message, Ping):
                 connection.state(pong(message.ct))
                 continue
-            connection.heard = time.time()
+            connection.heard = self.clock()
             if connection.agent < 0 or live.worker.is_stuck:
                 continue
             if isinstance(message, Can):

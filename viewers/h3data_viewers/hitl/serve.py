@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 from aiohttp import web
 
+from h3data_viewers.hitl.connections import runner_of
 from h3data_viewers.hitl.front import SEATS_PER_ADDRESS, Front
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.study.design import StudyPlan
@@ -101,7 +102,7 @@ async def serve(options: ServeOptions, report: Any) -> int:
         front = Front(options.plan, tables=options.tables, **given)
     starting, stopped = asyncio.ensure_future(front.workers.start()), asyncio.ensure_future(stops.wait())
     await asyncio.wait((starting, stopped), return_when=asyncio.FIRST_COMPLETED)
-    runner = web.AppRunner(front.application(), access_log=None, shutdown_timeout=0.5)
+    runner = runner_of(front.application())
     try:
         if starting.done():
             starting.result()

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from h3data.metrics import Metric
-from h3data.metrics.table import assumed_task
+from h3data.metrics.episode import assumed_task
 from h3data_viewers.html_report.report_data import ReportData
 from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table, counted, number, to_html
 

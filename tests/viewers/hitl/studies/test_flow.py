@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from h3data_viewers.hitl.study.answers import answer_rows, filled
 from h3data_viewers.hitl.study.design import Block, Place
 from h3data_viewers.hitl.study.flow import (
     ACTIVE,
@@ -19,6 +20,7 @@ from h3data_viewers.hitl.study.flow import (
     Progress,
     stages_of,
 )
+from h3data_viewers.hitl.study.store import Participant
 from tests.viewers.hitl.studies.tiny import tiny
 
 DEVICE = {"webgl": True, "ping_ms": 20.0, "fps": 60.0, "width": 1280.0, "height": 720.0, "touch": False}
@@ -152,3 +154,34 @@ def test_rows_are_all_that_has_to_be_kept(tmp_path: Path) -> None:
         again = Progress(tiny(), PLACE, dict(progress.rows), progress.status)
         assert again.stage == progress.stage
         act(progress)
+
+
+def test_a_form_after_consent_is_asked_again_at_the_end() -> None:
+    item = {"id": "mood", "text": "How are you?"}
+    forms = [
+        {"id": "mood", "after": after, "title": after, "items": [item]} for after in ("consent", "condition", "end")
+    ]
+    design, asked = tiny(forms=forms, tutorial={"skip": True}), []
+    progress = Progress(design, PLACE)
+    while progress.stage.kind != "end":
+        stage = progress.stage
+        if stage.kind == "form":
+            asked.append((stage.block, progress.form.title))
+            for block in {0, 1, 2, 3} - {stage.block}:
+                with pytest.raises(NotNow):
+                    progress.answer("mood", {"mood": 1}, block)
+            progress.answer("mood", {"mood": len(asked)}, stage.block)
+        else:
+            act(progress)
+    assert asked == [(0, "consent"), (1, "condition"), (2, "condition"), (3, "end")]
+    again = Progress(design, PLACE, dict(progress.rows))
+    assert again.stage.kind == "end"
+    person = Participant(
+        number=1, id="P", place=0, joined=0.0, used=0.0, idle=0.0, language="en", consent={}, ids={}, progress=progress
+    )
+    assert [(form.title, answers["mood"]) for form, _, answers in filled(design, person)] == [
+        ("consent", 1), ("condition", 2), ("condition", 3), ("end", 4),
+    ]  # fmt: skip
+    assert [row[-2:] for row in answer_rows(design, [person], free_text=False)] == [
+        ["after", "answer"], ["consent", "1"], ["condition", "2"], ["condition", "3"], ["end", "4"],
+    ]  # fmt: skip

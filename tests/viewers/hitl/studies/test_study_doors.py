@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import sqlite3
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -19,9 +21,10 @@ from h3data_pipelines.studies.running import keep_design
 from h3data_viewers.hitl.front import network
 from h3data_viewers.hitl.study.design import StudyPlan
 from h3data_viewers.hitl.study.files import DESIGN_FILE, make_plan, read_design
-from h3data_viewers.hitl.study.front import CHECK_S, HURRIED_S, MOST_UNCHECKED, StudyFront
+from h3data_viewers.hitl.study.front import CHECK_S, HURRIED_S, MOST_UNCHECKED, WATCH_S, StudyFront
+from h3data_viewers.hitl.study.overview import overview
 from h3data_viewers.hitl.study.pseudonyms import recruit_ids, rejoin_code
-from h3data_viewers.hitl.study.store import StudyStore
+from h3data_viewers.hitl.study.store import DATABASE, StudyStore
 from tests.viewers.hitl.studies.participant import DEVICE, Participant
 from tests.viewers.hitl.studies.test_flow import DEVICE as REPORT
 from tests.viewers.hitl.studies.test_flow import act
@@ -36,6 +39,15 @@ def made_plan() -> StudyPlan:
     return make_plan(tiny(tutorial={"skip": True}), Path("study"))
 
 
+class Clock:
+    """A clock that is set by hand."""
+
+    now = 1e5
+
+    def __call__(self) -> float:
+        return self.now
+
+
 class Study:
     """The server of a study in this process, and browsers of some network address."""
 
@@ -44,7 +56,8 @@ class Study:
         design = tiny(**{"tutorial": {"skip": True}, "recruiting": CODE, **changes})
         plan = msgspec.structs.replace(made_plan(), design=design, out=str(folder), key_file=str(folder) + ".key")
         plan = msgspec.structs.replace(plan, places=plan.places[: design.participants])
-        self.front = StudyFront(plan, behind_proxy=True)
+        self.clock = Clock()
+        self.front = StudyFront(plan, behind_proxy=True, clock=self.clock)
         self.front.preparer.ask = lambda order: None  # type: ignore[method-assign]
         self.stack, self.link = stack, ""
 
@@ -65,6 +78,13 @@ class Study:
         while who.is_active:
             act(who.progress)
         self.front.journal.save(who, who.progress.rows)
+
+    def serve(self, minutes: float) -> None:
+        """Time passes, in which the server looks around every few seconds."""
+        end = self.clock.now + minutes * 60
+        while self.clock.now < end:
+            self.clock.now += WATCH_S
+            self.front.look_for_drop_outs()
 
     @property
     def people(self) -> list[str]:
@@ -166,8 +186,8 @@ def test_invented_ids_do_not_fill_a_study(tmp_path: Path) -> None:
         answers = [await consent(await study.browser("6.6.6.6"), PROLIFIC_PID=f"{k:024x}") for k in range(5)]
         assert answers == [200] * MOST_UNCHECKED + [503] * (5 - MOST_UNCHECKED)
         assert len(study.people) == MOST_UNCHECKED
-        for number, (where, since) in study.front._unchecked.items():
-            study.front._unchecked[number] = where, since - HURRIED_S
+        for number in study.front._unchecked:
+            study.front.journal.participants[number].used += HURRIED_S
         for address in ("1.1.1.1", "2.2.2.2"):  # whoever comes gets the place of one who has not been checked
             assert (await study.joined(address=address)).stage["kind"] == "episode"
         assert study.people == ["active", "active"], "what nobody had checked is free again"
@@ -181,7 +201,7 @@ def test_a_place_without_a_device_check_is_free_after_a_minute_and_so_is_its_id(
         assert await consent(squatter, PROLIFIC_PID=PID) == 200
         study.front.release_unchecked(CHECK_S)
         assert len(study.people) == 1
-        study.front._unchecked[1] = "", time.monotonic() - CHECK_S - 1
+        study.front.journal.participants[1].used += CHECK_S
         study.front.release_unchecked(CHECK_S)
         assert study.people == []
         await owner.join(PROLIFIC_PID=PID)
@@ -340,6 +360,126 @@ def test_a_portrait_phone_is_turned_and_goes_on(tmp_path: Path) -> None:
 
     run(tmp_path, what)
     assert REPORT["width"] > 640
+
+
+# --- time -------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("minutes", [30, -30, 60 * 24 * 400])
+def test_a_step_of_the_clock_drops_nobody_and_keeps_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, minutes: float
+) -> None:
+    async def what(study: Study) -> None:
+        await study.joined(PID)
+        study.serve(minutes=5)
+        before = time.time()
+        monkeypatch.setattr(time, "time", lambda: before + minutes * 60)
+        study.serve(minutes=5)
+        assert study.people == ["active"]
+        person = study.front.journal.participants[1]
+        assert (person.used, person.idle) == (600, 600)
+        study.serve(minutes=9)
+        assert study.people == ["active"]
+        study.serve(minutes=2)
+        assert study.people == ["dropped"], "20 minutes without doing anything"
+
+    run(tmp_path, what)
+
+
+@pytest.mark.parametrize("rule", ["idle_minutes", "total_minutes"])
+def test_a_suspended_server_is_nobodys_time(tmp_path: Path, rule: str) -> None:
+    async def what(study: Study) -> None:
+        person = await study.joined(PID)
+        for k in range(8):
+            study.serve(minutes=1)
+            study.clock.now += 3600
+            if k % 2:  # whoever is there first: a request or the watch
+                assert await person.ask("api/study/pause", {"paused": True, "block": 1, "trial": 1}) == 200
+            study.front.look_for_drop_outs()
+        assert study.people == ["active"]
+        assert study.front.journal.participants[1].used == 480
+        study.serve(minutes=4)
+        assert study.people == ["dropped"]
+
+    run(tmp_path, what, dropout={rule: 10 if rule == "total_minutes" else 3.9})
+
+
+@pytest.mark.parametrize("kind", ["killed", "stopped"])
+def test_time_used_outlives_the_server_and_its_absence_is_nobodys(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    async def before(study: Study) -> None:
+        person = await study.joined(PID)
+        study.serve(minutes=3)
+        assert await person.ask("api/study/pause", {"paused": True, "block": 1, "trial": 1}) == 200
+        study.serve(minutes=15)
+        if kind == "killed":
+            study.clock.now += WATCH_S - 1  # not counted yet
+        else:
+            study.front.journal.close(done=False)
+
+    run(tmp_path, before)
+    now = time.time()
+    monkeypatch.setattr(time, "time", lambda: now + 86400)
+    again = StudyStore(tiny(), made_plan().places, tmp_path / "s", clock=(clock := Clock()))
+    (person,) = again.participants.values()
+    assert (person.used, person.idle) == (18 * 60, 15 * 60)
+    assert overview(again.design, again)["participants"][0]["idle_minutes"] == 15, "as the operator reads it"
+    clock.now += 10
+    again.count_time()
+    assert (person.used, person.idle) == (18 * 60 + 10, 15 * 60 + 10)
+
+
+def test_who_plays_is_not_idle(tmp_path: Path) -> None:
+    async def what(study: Study) -> None:
+        await study.joined(PID)
+        game = study.front.journal.begin_episode(study.front.journal.participants[1], "game")
+        connection = SimpleNamespace(heard=0.0)
+        study.front.lives["game"] = SimpleNamespace(game=game, sockets={"sid": connection})  # type: ignore[assignment]
+        for _ in range(30):
+            study.serve(minutes=1)
+            connection.heard = study.clock.now
+        study.serve(minutes=0.5)
+        assert study.front.journal.participants[1].idle == 30
+        assert study.people == ["active"]
+
+    run(tmp_path, what)
+
+
+def test_a_study_that_stored_dates_goes_on_with_seconds(tmp_path: Path) -> None:
+    """Participants of a version that stored the date of the last act: one under way, one who finished."""
+    folder, design = tmp_path / "s", tiny(recruiting={"id_pattern": ".*"})
+    folder.mkdir()
+    db = sqlite3.connect(folder / DATABASE)
+    db.executescript(
+        """
+        create table participants (
+            number integer primary key, id text not null unique, place integer not null, status text not null,
+            reason text not null, joined real not null, seen real not null, ended real, language text not null,
+            consent text not null, ids text not null
+        );
+        create table rows (
+            participant integer not null, stage text not null, at real not null, data text not null,
+            primary key (participant, stage)
+        );
+        insert into participants values (1, 'P-A', 0, 'active', '', 1000, 90600, null, 'en', '{"version":"1"}', '{}');
+        insert into participants values (2, 'P-B', 1, 'withdrawn', 'asked', 1000, 1500, 1600, 'en', '{}', '{}');
+        insert into rows values (1, 'device', 1060, '{}'), (1, 'tutorial/1', 1360, '{"ended":"success"}'),
+            (1, 'tutorial', 1360, '{}'), (1, 'episode/1/1', 90500, '{"ended":"success"}');
+        """
+    )
+    db.close()
+    status = StudyStore(design, made_plan().places, folder, read_only=True)
+    stores = [StudyStore(design, made_plan().places, folder) for _ in range(2)]
+    for store in (status, *stores):
+        first, second = store.participants.values()
+        assert (first.id, first.joined, first.used, first.idle, first.consent) == (
+            "P-A",
+            1000,
+            460,
+            0,
+            {"version": "1"},
+        )
+        assert (second.progress.status, second.used, second.ended) == ("withdrawn", 600, 1600)
+        assert first.progress.stage.key == "form/1/nasa_tlx"
 
 
 # --- names of the server ----------------------------------------------------------------------------------------------

@@ -182,6 +182,32 @@ def test_the_place_of_somebody_who_does_nothing_goes_to_the_next(tmp_path: Path)
         asyncio.run(idle(server.links[0]))
 
 
+async def interrupted(folder: Path, server: Server) -> None:
+    async with Participant(server.links[0]) as person:
+        await person.join()
+        assert server.stop(signal.SIGKILL) == -signal.SIGKILL
+        await asyncio.sleep(20.0)
+        with await asyncio.to_thread(serve, folder, 1.0, dropout={"idle_minutes": 0.3}) as again:
+            person.link = again.links[0]
+            again.process.send_signal(signal.SIGSTOP)
+            await asyncio.sleep(20.0)
+            again.process.send_signal(signal.SIGCONT)
+            await asyncio.sleep(6.0)
+            (kept,) = open_store(folder, tiny(dropout={"idle_minutes": 0.3})).participants.values()
+            assert kept.progress.status == "active"
+            assert 4 < kept.idle < 18
+            await asyncio.sleep(15.0)
+            await person.ask("api/study")
+            assert (person.stage["status"], person.stage["reason"]) == ("dropped", "idle")
+
+
+@pytest.mark.slow
+def test_a_killed_and_a_suspended_server_drop_nobody(tmp_path: Path) -> None:
+    folder = tmp_path / "tiny-1"
+    with serve(folder, 1.0, dropout={"idle_minutes": 0.3}) as server:
+        asyncio.run(interrupted(folder, server))
+
+
 def test_the_server_of_a_study_imports_nothing_heavy() -> None:
     code = (
         "import sys, h3data_viewers.hitl.study.front; from h3data_viewers.hitl.study.pseudonyms import recruit_ids; "

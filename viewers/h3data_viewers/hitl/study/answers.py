@@ -50,8 +50,9 @@ def filled(design: Design, person: Participant) -> Iterator[tuple[Form, str, Ans
         kind, *rest = row.split("/")
         if kind != "form":
             continue
-        condition = person.progress.place.blocks[int(rest[0]) - 1].condition if len(rest) == 2 else ""
-        after = ("condition",) if condition else ("consent", "end")
+        at_end = rest[0] == "end" and len(rest) == 2
+        condition = person.progress.place.blocks[int(rest[0]) - 1].condition if len(rest) == 2 and not at_end else ""
+        after = ("condition",) if condition else ("end",) if at_end else ("consent", "end")
         form = next(f for what in after for f in forms_after(design, what, condition) if f.id == data["form"])
         yield form, condition, data["answers"]
 
@@ -88,13 +89,14 @@ def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[Form
 
 def answer_rows(design: Design, people: Sequence[Participant], *, free_text: bool) -> list[list[str]]:
     """All answers, a row each, with a header; what people wrote themselves only with ``free_text``: it may say who they are."""
-    rows = [["participant", "condition", "form", "item", "kind", "answer"]]
+    rows = [["participant", "condition", "form", "item", "kind", "after", "answer"]]
     for person in people:
         for form, condition, answers in filled(design, person):
             kinds = {item.id: item.kind for item in form.items}
             rows += [
-                [person.id, condition, form.id, item, kinds[item], value if isinstance(value, str) else f"{value:g}"]
+                [person.id, condition, form.id, item, kinds[item], form.after,
+                 value if isinstance(value, str) else f"{value:g}"]
                 for item, value in answers.items()
                 if free_text or kinds[item] != "text"
-            ]
+            ]  # fmt: skip
     return rows

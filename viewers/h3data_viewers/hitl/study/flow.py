@@ -30,27 +30,32 @@ class Stage:
 
     kind: str
     block: int = 0
-    """From 1; 0: before or after the blocks."""
+    """From 1; 0: before the blocks; of forms at the end, one more than there are blocks."""
     trial: int = 0
     """Of an episode, within its block, from 1."""
     form: str = ""
+    row: str = ""
+    """`key`, where that does not follow from the above."""
 
     @property
     def key(self) -> str:
         """Its name in rows."""
-        return "/".join(str(part) for part in (self.kind, self.block, self.trial or self.form) if part)
+        return self.row or "/".join(str(part) for part in (self.kind, self.block, self.trial or self.form) if part)
 
 
 def stages_of(design: Design, place: Place) -> tuple[Stage, ...]:
     """Everything that a participant does after having consented."""
     stages = [Stage("device")]
-    stages += [Stage("form", form=form.id) for form in forms_after(design, "consent")]
+    first = [form.id for form in forms_after(design, "consent")]
+    stages += [Stage("form", form=form) for form in first]
     if not design.tutorial.skip:
         stages.append(Stage("tutorial"))
     for k, block in enumerate(place.blocks, 1):
         stages += [Stage("episode", k, trial) for trial in range(1, len(block.episodes) + 1)]
         stages += [Stage("form", k, form=form.id) for form in forms_after(design, "condition", block.condition)]
-    stages += [Stage("form", form=form.id) for form in forms_after(design, "end")]
+    for form in forms_after(design, "end"):
+        row = f"form/end/{form.id}" if form.id in first else f"form/{form.id}"
+        stages.append(Stage("form", len(place.blocks) + 1, form=form.id, row=row))
     return tuple(stages)
 
 
@@ -147,14 +152,10 @@ class Progress:
     def form(self) -> Any:
         """The form that is next."""
         stage = self.stage
-        after = "condition" if stage.block else "consent" if self._last_before(stage) == "device" else "end"
-        condition = self.place.blocks[stage.block - 1].condition if stage.block else ""
+        in_block = 0 < stage.block <= len(self.place.blocks)
+        after = "condition" if in_block else "end" if stage.block else "consent"
+        condition = self.place.blocks[stage.block - 1].condition if in_block else ""
         return next(form for form in forms_after(self.design, after, condition) if form.id == stage.form)
-
-    def _last_before(self, stage: Stage) -> str:
-        """Kind of the last stage before one that is no form."""
-        before = self.stages[: self.stages.index(stage)]
-        return next((other.kind for other in reversed(before) if other.kind != "form"), "")
 
     # --- what games do ------------------------------------------------------------------------------------------------
     def over(self, key: str, result: dict[str, Any]) -> dict[str, dict[str, Any]]:

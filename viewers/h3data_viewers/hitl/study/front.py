@@ -17,7 +17,7 @@ from msgspec import Meta
 from h3data_viewers.hitl.connections import Failed, Live
 from h3data_viewers.hitl.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, Front
 from h3data_viewers.hitl.plan import GameOrder
-from h3data_viewers.hitl.seats import Game, Seat, new_token
+from h3data_viewers.hitl.seats import Game, Seat, new_token, uptime
 from h3data_viewers.hitl.study.design import StudyPlan
 from h3data_viewers.hitl.study.flow import DROPPED, WITHDRAWN, NotNow
 from h3data_viewers.hitl.study.orders import game_key, order_of, row_of
@@ -108,7 +108,7 @@ class StudyFront(Front):
     def __init__(
         self, study: StudyPlan, *, workers: int = 1, open_door: bool = True, secure: bool = False,
         report: Callable[[dict[str, Any]], None] = lambda _: None, seats_per_address: int = SEATS_PER_ADDRESS,
-        behind_proxy: bool = False, hosts: Sequence[str] = (),
+        behind_proxy: bool = False, hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
     ) -> None:  # fmt: skip
         """
         Args:
@@ -120,25 +120,25 @@ class StudyFront(Front):
             seats_per_address: Participants at once of one network address.
             behind_proxy: As of `Front`.
             hosts: As of `Front`.
+            clock: As of `Front`.
         """
         self.study, self.design = study, study.design
         super().__init__(
             study.plans[0], workers=workers, open_door=open_door, secure=secure, report=report, plans=study.plans,
-            journal=StudyStore(study.design, study.places, Path(study.out)),
-            seats_per_address=seats_per_address, behind_proxy=behind_proxy, hosts=hosts,
+            journal=StudyStore(study.design, study.places, Path(study.out), clock=clock),
+            seats_per_address=seats_per_address, behind_proxy=behind_proxy, hosts=hosts, clock=clock,
         )  # fmt: skip
         self.finishes = False
-        self.began = time.time()
         self._key = read_key(Path(study.key_file))
         self._page = ""
         self._tasks: set[asyncio.Task[None]] = set()
-        self._unchecked: dict[int, tuple[str, float]] = {}
-        """Address and time (`time.monotonic`) of participants whose computers have not been checked, by number."""
+        self._unchecked: dict[int, str] = {}
+        """Address of participants whose computers have not been checked, by number."""
         for participant in self.journal.participants.values():
             if participant.is_active and not participant.progress.rows:
-                self._unchecked[participant.number] = "", time.monotonic()
+                self._unchecked[participant.number] = ""
         self._joins: dict[str, tuple[float, float]] = {}
-        """How many may still join from an address, and when that was so (`time.monotonic`)."""
+        """How many may still join from an address, and when that was so."""
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
@@ -247,17 +247,17 @@ class StudyFront(Front):
             agreed = {"version": self.design.consent.version, "sha256": body.hash}
             participant = self.journal.join(pseudonym, place, language=language, consent=agreed, ids=ids)
             self._note_address(request, self.journal.move(participant, token))
-            self._unchecked[participant.number] = self._address(request), time.monotonic()
+            self._unchecked[participant.number] = self._address(request)
             self.report({"joined": {"participant": pseudonym, "place": place}})
         return self._answer(request, self._view(participant), token)
 
     def _require_patience(self, address: str) -> None:
         """Counts a new participant of an address; refuses them where there were many."""
-        if sum(where == address for where, _ in self._unchecked.values()) >= MOST_UNCHECKED:
+        if list(self._unchecked.values()).count(address) >= MOST_UNCHECKED:
             raise web.HTTPServiceUnavailable(
                 text="Others are just beginning at your network address. Try again in some seconds."
             )
-        now, most = time.monotonic(), float(self.seats_per_address)
+        now, most = self.clock(), float(self.seats_per_address)
         self._joins = {
             where: (left, at) for where, (left, at) in self._joins.items() if left + (now - at) * most / JOINS_S < most
         }
@@ -287,9 +287,7 @@ class StudyFront(Front):
         def answer(participant: Participant) -> dict[str, dict[str, Any]]:
             progress = participant.progress
             if body.block is None and sum(stage.form == body.form for stage in progress.stages) > 1:
-                raise NotNow(
-                    "This form is asked more than once, and the answers do not say for which block. Reload the page."
-                )
+                raise NotNow("This form is asked more than once, and the answers do not say where. Reload the page.")
             return progress.answer(body.form, body.answers, body.block)
 
         return self._act(request, answer)
@@ -414,6 +412,8 @@ class StudyFront(Front):
     async def _reseat(self, request: web.Request, participant: Participant, token: str) -> None:
         """Gives the seat to another browser; the one before is told so."""
         before = self.journal.seat_of(participant)
+        if before is not None:
+            self._left.add(before.sid)
         self._note_address(request, self.journal.move(participant, token))
         for live in list(self.lives.values()):
             connection = live.sockets.get(before.sid) if before is not None else None
@@ -434,7 +434,7 @@ class StudyFront(Front):
                 raise web.HTTPConflict(text=str(fault)) from None
         return await super().sit(request)
 
-    def _new_seat(self, token: str, number: int) -> Seat:
+    def _new_seat(self, token: str, number: int, *, has_key: bool) -> Seat:
         raise web.HTTPConflict(text="This browser does not take part in the study yet. Reload the page.")
 
     def _is_taken(self, sid: str) -> bool:
@@ -476,36 +476,37 @@ class StudyFront(Front):
     async def _watch(self) -> None:
         while True:
             await asyncio.sleep(WATCH_S)
-            self.look_for_drop_outs(time.time())
+            self.look_for_drop_outs()
             self.release_unchecked(CHECK_S)
 
     def release_unchecked(self, seconds: float) -> None:
         """Forgets those whose computers have not been checked within so many seconds: their places and ids are free again."""
-        now = time.monotonic()
-        for number, (_, since) in list(self._unchecked.items()):
+        self.journal.count_time()
+        for number in list(self._unchecked):
             participant = self.journal.participants.get(number)
-            if participant is not None and participant.is_active and now - since < seconds:
+            if participant is not None and participant.is_active and participant.used < seconds:
                 continue
             del self._unchecked[number]
             if participant is not None and participant.is_active:
                 self.journal.remove(participant)
                 self.report({"released": {"participant": participant.id}})
 
-    def look_for_drop_outs(self, now: float) -> None:
-        """Ends the sessions of those who have done nothing for too long; a server that was down has seen nobody."""
+    def look_for_drop_outs(self) -> None:
+        """Counts everybody's time, and ends the sessions of those who have done nothing for too long."""
+        self.journal.count_time()
+        now = self.clock()
         for live in self.lives.values():
             participant = self.journal.participants.get(live.game.place)
-            heard = max((c.heard for c in live.sockets.values()), default=0.0)
-            if participant is not None and heard > participant.seen:
-                self.journal.saw(participant, heard)
+            if participant is not None:
+                participant.idle = min([participant.idle, *(now - c.heard for c in live.sockets.values())])
+        self.journal.keep_time()
         rules = self.design.dropout
         for participant in list(self.journal.participants.values()):
             if not participant.is_active:
                 continue
-            idle = now - max(participant.seen, self.began)
-            if idle > rules.idle_minutes * 60:
+            if participant.idle > rules.idle_minutes * 60:
                 participant.progress.end(DROPPED, "idle")
-            elif now - participant.joined > rules.total_minutes * 60:
+            elif participant.used > rules.total_minutes * 60:
                 participant.progress.end(DROPPED, "too_long")
             else:
                 continue

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from dataclasses import dataclass
 from datetime import date, datetime
@@ -103,8 +102,8 @@ def _person(design: Design, person: Participant) -> dict[str, Any]:
         "practice": progress.attempts,
         "episodes": {c.name: counts[c.name] for c in design.conditions},
         "late": late,
-        "minutes": ((person.ended or person.seen) - person.joined) / 60,
-        "idle_minutes": (time.time() - person.seen) / 60 if progress.status == ACTIVE else None,
+        "minutes": person.used / 60,
+        "idle_minutes": person.idle / 60 if progress.status == ACTIVE else None,
         "joined": datetime.fromtimestamp(person.joined).isoformat(timespec="minutes"),
     }
 

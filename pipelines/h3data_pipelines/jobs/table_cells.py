@@ -1,0 +1,93 @@
+"""Cells of tables of policies: the mean of one policy with its interval, and of several the mean of their means.
+
+Policies that differ by the seed of their training alone, named together by a pattern of files (``weights:out/s*/policy.npz``),
+are one row, with the standard deviation over the seeds as published tables have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from h3data.metrics import Metric, Summary
+from h3data.metrics.table import summarize
+
+NOTHING = "No episode could be played: there is no table."
+SEEDS_HEAD = "; of seeds mean ± standard deviation"
+"""What the head of a table adds where it has rows of several policies."""
+
+
+def cell_of(metric: Metric, values: Sequence[float | None]) -> Summary:
+    """Returns the mean of the defined values with its 95% interval; None stands for undefined."""
+    return summarize(metric, np.array([np.nan if v is None else v for v in values], np.float64))
+
+
+def cell_dict(cell: Summary) -> dict[str, float | None]:
+    """Returns mean, interval and number of episodes as JSON types."""
+    ends = {name: or_none(value) for name, value in (("mean", cell.mean), ("low", cell.low), ("high", cell.high))}
+    return {**ends, "episodes": cell.count}
+
+
+def or_none(value: float) -> float | None:
+    """Returns the value as JSON has it: None for NaN."""
+    return None if np.isnan(value) else value
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeedsSummary:
+    """One metric of several policies."""
+
+    each: Mapping[str, Summary]
+    """By policy; means are over its episodes."""
+
+    @property
+    def means(self) -> np.ndarray:
+        """Means of the policies that have one, shape [S]."""
+        return np.array([cell.mean for cell in self.each.values() if cell.count], np.float64)
+
+    @property
+    def mean(self) -> float:
+        """Mean of the policies' means; NaN if no policy has one."""
+        return float(self.means.mean()) if len(self.means) else float("nan")
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the policies' means (n - 1); NaN of fewer than two."""
+        return float(self.means.std(ddof=1)) if len(self.means) > 1 else float("nan")
+
+    def to_text(self, *, factor: float = 1.0, digits: int = 2) -> str:
+        """``0.95 ± 0.01``; ``-`` if no policy has a mean."""
+        if not len(self.means):
+            return "-"
+        spread = f" ± {factor * self.deviation:.{digits}f}" if self.deviation == self.deviation else ""
+        return f"{factor * self.mean:.{digits}f}{spread}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON types; NaN becomes None."""
+        return {
+            "mean": or_none(self.mean),
+            "deviation": or_none(self.deviation),
+            "seeds": [{"policy": policy, **cell_dict(cell)} for policy, cell in self.each.items()],
+        }
+
+
+def row_name(pattern: str, policies: Sequence[str]) -> str:
+    """What the row of several policies is called."""
+    return f"{pattern} ({len(policies)} seeds)"
+
+
+def rows_of(policies: Sequence[str], seeds: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
+    """Rows of a table by name, each with its policies: one of several in the place of the first of them."""
+    rows: dict[str, tuple[str, ...]] = {}
+    of = {policy: pattern for pattern, members in seeds.items() for policy in members}
+    for policy in policies:
+        pattern = of.get(policy)
+        if pattern is None:
+            rows[policy] = (policy,)
+        else:
+            members = tuple(member for member in seeds[pattern] if member in policies)
+            rows[row_name(pattern, members)] = members
+    return rows
