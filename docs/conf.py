@@ -12,6 +12,7 @@ import io
 import os
 import re
 import shutil
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -115,12 +116,11 @@ def write_references() -> None:
         for name, command in COMMANDS.items()
     }
     _write(WRITTEN / "commands.inc", _table("commands", about_commands))
-    os.environ["COLUMNS"] = "100"
     for name, command in COMMANDS.items():
         parts = [[name, part] for part in command.commands] if isinstance(command, Group) else [[name]]
         page = f"# h3data {name}\n\n"
         for words in parts:
-            page += (f"## {' '.join(words)}\n\n" if len(parts) > 1 else "") + f"```text\n{_help(words)}```\n\n"
+            page += (f"## {' '.join(words)}\n\n" if len(parts) > 1 else "") + f"```text\n{help_text(words)}```\n\n"
         _write(WRITTEN / "commands" / f"{name}.md", page)
 
 
@@ -147,13 +147,37 @@ def _module_page(name: str, about: str) -> str:
     return page + "```\n"
 
 
-def _help(words: list[str]) -> str:
+HELP_COLUMNS = 86
+"""Characters in a line of a code block at a width of 1,280 px."""
+
+
+def help_text(words: list[str]) -> str:
+    """The help of a command in lines of at most `HELP_COLUMNS`."""
     from h3data_pipelines.cli import main
 
     out = io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
-        main([*words, "--help"])
-    return out.getvalue()
+    columns, os.environ["COLUMNS"] = os.environ.get("COLUMNS"), str(HELP_COLUMNS)
+    try:
+        with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+            main([*words, "--help"])
+    finally:
+        os.environ.pop("COLUMNS") if columns is None else os.environ.update(COLUMNS=columns)
+    return wrapped(out.getvalue())
+
+
+def wrapped(text: str) -> str:
+    """The text of a help: paragraphs filled anew, rules below headings left out."""
+    lines: list[str] = []
+    for block in re.split(r"\n\n+", text.strip("\n")):
+        found = [line for line in block.splitlines() if not re.fullmatch(r"\s*[-─]+\s*", line)]
+        if any(line.startswith(" ") for line in found):  # a list of options or of examples
+            for line in found:
+                indent = line[: len(line) - len(line.lstrip())]
+                lines += textwrap.wrap(line, HELP_COLUMNS, subsequent_indent=f"{indent}    ", break_on_hyphens=False)
+        else:
+            lines += textwrap.wrap(" ".join(found), HELP_COLUMNS, break_on_hyphens=False)
+        lines.append("")
+    return "\n".join(lines).strip("\n") + "\n"
 
 
 def _write(path: Path, text: str) -> None:

@@ -6,12 +6,16 @@ import ast
 import inspect
 import json
 import re
+import runpy
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
 
+import h3data
 from h3data.errors import InputError
+from h3data.metrics.registry import find_profile
 from h3data_pipelines.command import Group
 from h3data_pipelines.commands.table import COMMANDS
 from h3data_pipelines.options import options_of
@@ -113,20 +117,63 @@ def lines_of_benchmarks() -> str:
 
 
 def test_the_figures_of_the_readme_are_lines_of_benchmarks() -> None:
-    names = re.findall(r"\| `([a-z_]+\.[\w.{},]+)` \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert len(names) > 10
     emitted = lines_of_benchmarks()
-    for name in names:
-        before, _, rest = name.partition("{")
-        choices, _, after = rest.partition("}")
-        for choice in choices.split(","):
-            assert re.fullmatch(emitted, f"{before}{choice}{after}"), name
+    for page, most in ((ROOT / "README.md", 4), (DOCS / "benchmark.md", 10)):
+        names = re.findall(r"\| `([a-z_]+\.[\w.{},]+)` \|$", page.read_text(encoding="utf-8"), re.MULTILINE)
+        assert len(names) > most
+        for name in names:
+            before, _, rest = name.partition("{")
+            choices, _, after = rest.partition("}")
+            for choice in choices.split(","):
+                assert re.fullmatch(emitted, f"{before}{choice}{after}"), name
     assert not re.fullmatch(emitted, "recording.mcap.no_such_line")
+
+
+def test_the_readme_is_short_and_says_what_it_needs_and_how_to_cite() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert text.count("\n") <= 120
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    first = text[: text.index("## Quick start")]
+    versions = [tag.rpartition(" ")[2] for tag in project["classifiers"] if re.search(r"Python :: 3\.\d", tag)]
+    assert f"Python {versions[0]} to {versions[-1]} on Linux" in first
+    assert project["requires-python"] == f">={versions[0]}"
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    version, year = re.findall(r"^(?:version|date-released): ([\d.]+)", citation, re.MULTILINE)
+    assert f"version = {{{version}}}, year = {{{year}}}" in text
+    assert str(version) == project["version"] == h3data.__version__
+    (paper,) = re.findall(r'- type: conference-paper\n    title: "(.*)"', citation)
+    assert f"title = {{{paper}}}" in text
+
+
+def test_the_glossary_holds_every_metric_of_the_paper() -> None:
+    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    for task in ("social_nav", "rearrange"):
+        _, _, section = text.partition(
+            f"## Metrics of {task.replace('_nav', ' navigation').replace('rearrange', 'social rear')}"
+        )
+        rows = dict(re.findall(r"^\| ([A-Z]+) \|.*\| (.+) \|$", section.partition("\n## ")[0], re.MULTILINE))
+        metrics = find_profile("paper", task).metrics
+        assert rows == {
+            metric.name: {"higher": "higher", "lower": "lower"}.get(metric.direction, "-") for metric in metrics
+        }
 
 
 def test_the_docs_hold_commands() -> None:
     assert sum(len(commands(page)) for page in PAGES) > 200
     assert sum(len(quoted(page)) for page in PAGES) > 100
+
+
+def test_helps_on_the_site_fit_their_column() -> None:
+    conf = runpy.run_path(str(DOCS / "conf.py"))
+    seen = 0
+    for name in ("generate", "view", "doctor"):
+        lines = conf["help_text"]([name]).splitlines()
+        assert max(map(len, lines)) <= conf["HELP_COLUMNS"], name
+        assert any(line.strip().startswith("--json") for line in lines), "options keep lines of their own"
+        seen += sum(re.fullmatch(r"Examples:|    h3data .*", line) is not None for line in lines)
+    assert seen > 10
+    filled = conf["wrapped"]("usage: x\n\nwords that\nwere broken\n\n options\n -----\n  --a  one\n")
+    assert filled == "usage: x\n\nwords that were broken\n\n options\n  --a  one\n"
 
 
 def test_examples_of_help_exist() -> None:
