@@ -110,7 +110,7 @@ check-lerobot: setup  ## datasets and exports open with lerobot's own loader, do
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 pandas pyarrow pyyaml
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check datasets==4.8.5 huggingface-hub==0.35.3
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r tests/export/lerobot_loader/requirements.txt
-	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --max-steps 150 $(LEROBOT_CAMERAS) --force -o out/lerobot/ds
+	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --max-steps 60 $(LEROBOT_CAMERAS) --force -o out/lerobot/ds
 	$(BIN)/h3data generate rearrange --episodes 1 --seed 5 --force -o out/lerobot/plain
 	$(BIN)/h3data export out/lerobot/ds --to lerobot --force -o out/lerobot/export
 	$(BIN)/h3data export out/lerobot/plain --to lerobot --camera robot_arm --force -o out/lerobot/rearrange

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import InputError
 from h3data.recording import Recording
-from h3data.recording.parquet.moments import Moments
+from h3data.recording.parquet.moments import QUANTILES, Moments
 from h3data.recording.parquet.videos import EpisodeVideo, VideoFeature
 from h3data.render import VideoWriter
 from h3data.render.light.sources import LightMode
@@ -141,4 +141,6 @@ def _moments(histogram: NDArray[np.int64]) -> Moments:
     mean = counts @ values / total
     m2 = (counts * (values - mean[:, None]) ** 2).sum(1)
     present = histogram > 0
-    return Moments(total, mean, m2, values[present.argmax(1)], values[255 - present[:, ::-1].argmax(1)])
+    reached = np.cumsum(counts, 1)[None] >= np.array(list(QUANTILES.values()))[:, None, None] * total[:, None]
+    low, high = values[present.argmax(1)], values[255 - present[:, ::-1].argmax(1)]
+    return Moments(total, mean, m2, low, high, values[reached.argmax(2)])

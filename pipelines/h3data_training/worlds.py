@@ -15,7 +15,7 @@ from h3data_training.settings import CRITIC, Settings
 from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv, arm_cameras
 from sim_kinematic.torch.episodes import EpisodeBank
 
-COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met")
+COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met", "distance")
 """Sums over worlds and steps that `HeldWorlds.totals` keeps."""
 
 
@@ -79,13 +79,15 @@ class HeldWorlds(HeldSteps, SocialNavTorchEnv):
         return [
             (live & (play.followed > before)).sum(), (live & play.terminated).sum(), ends.sum(), live.sum(),
             (live & play.robot.contact).sum(), (ends & (play.followed > 0)).sum(),
+            torch.where(live, (play.robot.xz - play.human.xz).square().sum(-1).sqrt(), 0.0).sum(),
         ]  # fmt: skip
 
     def figures(self, total: dict[str, float]) -> dict[str, float]:
         """Columns of the learning curve that follow from the totals by name."""
         steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
         return {
-            "reward": total["reward"] / steps, "follows": total["follows"] / steps, "collided": total["collided"] / ended,
+            "reward": total["reward"] / steps, "distance_m": total["distance"] / steps, "follows": total["follows"] / steps,
+            "collided": total["collided"] / ended,
             "met": total["met"] / ended, "contact": total["contact"] / steps, "steps_per_episode": steps / ended,
         }  # fmt: skip
 

@@ -16,7 +16,7 @@ from h3data.errors import FormatError, InputError
 from h3data.recording import Dataset, DatasetWriter, recordings_equal
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands.generate import Generate
-from h3data_pipelines.hub.card import card_picture
+from h3data_pipelines.hub.card import AGENT_COUNTS, _things_in, card_picture
 from h3data_pipelines.hub.checksums import require_checksums
 from h3data_pipelines.hub.provenance import command_line, read_commands
 from tests.hub_server import READER, WRITER, Hub, served
@@ -114,7 +114,31 @@ def test_a_dataset_without_steps_or_cameras_has_a_card_too(tmp_path: Path, capsy
         writer.add(simple_recording(steps=0))
     text = run_json(capsys, "card", tmp_path / "ds", "--dry-run")["card"]
     assert "1, of which 1 without steps" in text
+    assert "Metrics" not in text
     assert "The commands were not kept." in text
+
+
+def test_the_card_of_an_export_has_no_metrics_and_shows_people(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exports lack the last row of each episode, so that their metrics would be wrong."""
+    root = Path(str(dataset.root))
+    run_json(capsys, "export", root, "--to", "lerobot", "-o", tmp_path / "export")
+    text = run_json(capsys, "card", tmp_path / "export", "--dry-run")["card"]
+    assert "| episodes | 2 |" in text
+    assert "Metrics" not in text
+    assert "measured" not in text
+    assert "## Metrics: social_nav" in run_json(capsys, "card", root, "--dry-run")["card"]
+
+
+def test_the_picture_of_a_card_shows_the_moment_at_which_most_is_seen() -> None:
+    """Eight ids: a wall, three things and four links of two agents; a wall alone, things, and an agent."""
+    agents = np.array([-1, -1, -1, -1, 0, 0, 1, 1])
+    wall = np.zeros((10, 10), np.int32)
+    things, person = wall.copy(), wall.copy()
+    things[:5, :5], things[5:, 5:] = 1, 2
+    person[2:4, :], person[4:6, :], person[9, 9] = 4, 5, -1
+    assert [_things_in(picture, agents) for picture in (wall, things, person)] == [1, 3, 1 + AGENT_COUNTS]
 
 
 def test_commands_are_kept_without_folders_and_without_what_changes_nothing(dataset: Dataset) -> None:

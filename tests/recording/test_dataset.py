@@ -39,7 +39,7 @@ from h3data.recording import (
 )
 from h3data.recording.parquet import shard as dataset_shard
 from h3data.recording.parquet.folder import EpisodeRows
-from h3data.recording.parquet.moments import merged, moments_of
+from h3data.recording.parquet.moments import lerobot_stats, merged, moments_of, pack_moments, unpack_moments
 from h3data.recording.schema import DTYPES
 from tests.examples import examples
 from tests.paths import REAL, ROOT
@@ -210,6 +210,62 @@ def test_stats_are_right(tmp_path):
     second_body = np.concatenate([r.columns["object_pose"][:, 1] for r in recs if len(r.bodies) > 1])
     assert np.allclose(stats["object_pose"]["mean"][7:], second_body.mean(0), atol=1e-6), "padding must not count"
     assert set(stats) == set(json.loads((tmp_path / "ds/meta/info.json").read_text())["features"])
+
+
+QUANTILE_SHARES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+
+
+def test_every_episode_has_lerobots_statistics_of_every_feature_with_quantiles(tmp_path):
+    recs = [simple_recording(steps=steps, seed=steps) for steps in (40, 200)]
+    ds = written(tmp_path / "ds", *recs)
+    table = pads.dataset(tmp_path / "ds/meta/episodes", format="parquet").to_table()
+    rows, features = table.to_pylist(), json.loads((tmp_path / "ds/meta/info.json").read_text())["features"]
+    stats = json.loads((tmp_path / "ds/meta/stats.json").read_text())
+    pose = "agent_0.base_pose"
+    for rec, row in zip(recs, rows, strict=True):
+        ordered = np.sort(rec.columns[pose], axis=0)
+        for name, share in QUANTILE_SHARES.items():  # those of LeRobot's histograms, but for the width of a bin
+            expected = ordered[int(np.ceil(share * len(rec))) - 1]
+            np.testing.assert_array_equal(np.float32(row[f"stats/{pose}/{name}"]), expected, err_msg=name)
+        for name, summary in (("min", np.min), ("max", np.max), ("mean", np.mean), ("std", np.std)):
+            np.testing.assert_allclose(row[f"stats/{pose}/{name}"], summary(rec.columns[pose], 0), atol=1e-5)
+        assert row[f"stats/{pose}/count"] == [len(rec)]
+        for feature, about in features.items():
+            for name in ("min", "max", "mean", "std", *QUANTILE_SHARES):
+                assert len(row[f"stats/{feature}/{name}"]) == about["shape"][0], (feature, name)
+    for name in QUANTILE_SHARES:  # of the dataset the means weighted by counts, as LeRobot aggregates them
+        mean = np.average([row[f"stats/{pose}/{name}"] for row in rows], axis=0, weights=[40, 200])
+        np.testing.assert_allclose(stats[pose][name], mean, atol=1e-6)
+    assert not [name for name in ds.episodes.column_names if name.startswith("stats/")], (
+        "they are not read with episodes"
+    )
+
+
+def test_a_dataset_of_before_goes_on_without_statistics_of_episodes(tmp_path):
+    """lerobot opens episode tables as one, which need the same columns."""
+    rec = simple_recording(steps=8)
+    schema = replace(written(tmp_path / "new", rec).schema, episode_stats=False)
+    (tmp_path / "old/h3").mkdir(parents=True)
+    (tmp_path / "old/h3/schema.json").write_bytes(schema.to_json())
+    for _ in range(2):
+        with DatasetWriter(tmp_path / "old", resume=True) as writer:
+            writer.add(rec)
+    ds = Dataset(tmp_path / "old")
+    assert not ds.schema.episode_stats
+    tables = [pq.read_schema(path) for path in sorted((tmp_path / "old/meta/episodes").rglob("*.parquet"))]
+    assert len(tables) == 2
+    assert not [name for table in tables for name in table.names if name.startswith("stats/")]
+
+
+def test_moments_that_were_stored_without_quantiles_are_read():
+    full = moments_of(np.arange(12.0).reshape(6, 2))
+    old = replace(full, quantiles=None)
+    assert unpack_moments(pack_moments({"x": old}).encode())["x"].quantiles is None
+    assert merged(full, unpack_moments(pack_moments({"x": old}).encode())["x"]).quantiles is None
+    again = unpack_moments(pack_moments({"x": full}).encode())["x"]
+    np.testing.assert_array_equal(again.quantiles, full.quantiles)
+    assert "q50" not in lerobot_stats(old, 6, (-1,))
+    assert lerobot_stats(again, 6, (-1,))["q50"] == [4.0, 5.0]
 
 
 @settings(max_examples=examples(40), deadline=None, derandomize=True)

@@ -134,6 +134,17 @@ def test_an_interrupted_run_comes_to_the_same_weights(
         train(tmp_path, SMALL, bank=bank, resume=True)
 
 
+def test_the_learning_curve_has_the_mean_distance_to_the_person(bank: EpisodeBank) -> None:
+    """The paper plots it beside the reward."""
+    worlds = HeldWorlds(small(observations=("humanoid_gps", "range_scan")), bank, device="cpu", compile=False, hold=1)
+    worlds.reset(seed=0)
+    worlds.held(torch.zeros(4, 2))
+    apart = (worlds.play.robot.xz - worlds.play.human.xz).norm(dim=-1)
+    total = dict(zip(worlds.counts, worlds.totals.tolist(), strict=True))
+    assert worlds.figures(total)["distance_m"] == pytest.approx(float(apart.mean()), rel=1e-5)
+    assert list(worlds.figures(total))[:2] == ["reward", "distance_m"]
+
+
 @pytest.mark.slow  # quick: those that see depth
 def test_a_run_that_sees_colours_resumes_exactly_and_plays(bank: EpisodeBank, tmp_path: Path) -> None:
     settings = small(observations=("arm_rgb", "humanoid_detector", "humanoid_gps"), light="baked")

@@ -495,11 +495,13 @@ def test_learning_curves_of_training_runs(runs: dict[str, Path], tmp_path: Path)
     """The table that `h3data train` writes, alone and beside a dataset."""
     run = tmp_path / "nav"
     run.mkdir()
-    save_curve([{"update": k, "decisions": 1000 * k, "reward": float(k), "kl": 0.01 * k} for k in range(5)], run)
+    rows = [{"decisions": 1000 * k, "reward": float(k), "distance_m": 9.0 - k, "kl": 0.01 * k} for k in range(5)]
+    save_curve(rows, run)
     alone = make_report([run], pictures=0)
     assert alone.data.curves["nav"]["step"].tolist() == [0, 1000, 2000, 3000, 4000]
     assert 'id="learning"' in alone.html
     assert "Learning curve of reward" in alone.html
+    assert "mean distance between robot and person [m]" in alone.html
     together = make_report([runs["stand_still"], run], pictures=0)
     assert len(together.data.runs) == 1
     assert "Learning curve of reward" in together.html

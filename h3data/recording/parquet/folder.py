@@ -20,7 +20,7 @@ from h3data.recording.parquet.files import FILES_PER_CHUNK, is_dataset, shard_fi
 from h3data.recording.parquet.records import DAMAGE, DatasetRecords, read_whole
 from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema
 from h3data.recording.schema import check_version, current_info
-from h3data.recording.storage import RemotePath, place, readable
+from h3data.recording.storage import AnyPath, RemotePath, place, readable
 
 _OPEN_FILES = 4
 _READERS = 4
@@ -97,15 +97,21 @@ class DatasetFolder:
 
     @cached_property
     def episodes(self) -> pa.Table:
-        """One row per episode: LeRobot's columns (place, length) and ours (uid, task, scene, seed, info as JSON, ...).
+        """One row per episode: LeRobot's columns (place, length) and ours (uid, task, scene, seed, info as JSON, ...), without
+        LeRobot's statistics of what is no video.
 
         Raises:
             FormatError: a table is damaged, or tables are missing.
         """
         paths = shard_files(self.root, "meta/episodes")
+        kept = tuple(f"stats/{video.key}/" for video in self.schema.videos)
+
+        def read(path: AnyPath) -> pa.Table:
+            return read_whole(path, lambda name: name.startswith("stats/") and not name.startswith(kept))
+
         try:
             with ThreadPoolExecutor(_READERS) as pool:
-                tables = [table.replace_schema_metadata(None) for table in pool.map(read_whole, paths)]
+                tables = [table.replace_schema_metadata(None) for table in pool.map(read, paths)]
             table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
             table = conform(table, EPISODE_SCHEMA)
             if tables and (lacking := [name for name in EPISODE_SCHEMA.names if name not in table.column_names]):

@@ -1,4 +1,4 @@
-"""Running moments of the features of a dataset, for LeRobot's statistics."""
+"""Running moments and quantiles of the features of a dataset, for LeRobot's statistics."""
 
 from __future__ import annotations
 
@@ -12,6 +12,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+"""By the names that LeRobot gives them."""
+STATISTICS = ("min", "max", "mean", "std", *QUANTILES)
+"""Numbers of a feature beside its count."""
+
 
 @dataclass
 class Moments:
@@ -22,17 +27,22 @@ class Moments:
     m2: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    quantiles: NDArray[np.float64] | None = None
+    """`QUANTILES` of one episode, of several the means weighted by their counts, as LeRobot aggregates them; shape [5, width].
+    None: the dataset was written without."""
 
     @property
     def std(self) -> NDArray[np.float64]:
         return np.sqrt(self.m2 / np.maximum(self.count, 1))
 
     def to_lists(self) -> list[list[float]]:
-        return [v.tolist() for v in (self.count, self.mean, self.m2, self.low, self.high)]
+        arrays = (self.count, self.mean, self.m2, self.low, self.high)
+        return [v.tolist() for v in (*arrays, *(() if self.quantiles is None else self.quantiles))]
 
     @classmethod
     def from_lists(cls, lists: Iterable[Iterable[float]]) -> Self:
-        return cls(*(np.array(list(v), np.float64) for v in lists))
+        count, mean, m2, low, high, *quantiles = (np.array(list(v), np.float64) for v in lists)
+        return cls(count, mean, m2, low, high, np.array(quantiles) if quantiles else None)
 
 
 def moments_of(values: NDArray[Any]) -> Moments:
@@ -44,14 +54,26 @@ def moments_of(values: NDArray[Any]) -> Moments:
             mean = x.mean(0, dtype=np.float64)
             deviation = x - mean
             m2 = np.einsum("ij,ij->j", deviation, deviation)
-            return Moments(np.full(x.shape[1], float(len(x))), mean, m2, x.min(0) * 1.0, x.max(0) * 1.0)
+            count = np.full(x.shape[1], float(len(x)))
+            return Moments(count, mean, m2, x.min(0) * 1.0, x.max(0) * 1.0, _quantiles(x, count))
         count = finite.sum(0).astype(np.float64)
         mean = np.where(finite, x, 0).sum(0, dtype=np.float64) / np.maximum(count, 1)
         m2 = (np.where(finite, x - mean, 0) ** 2).sum(0, dtype=np.float64)
         low, high = (
             f(np.where(finite, x, fill), axis=0, initial=fill) for f, fill in ((np.min, np.inf), (np.max, -np.inf))
         )
-        return Moments(count, mean, m2, np.asarray(low, np.float64), np.asarray(high, np.float64))
+        quantiles = _quantiles(np.where(finite, x, np.nan), count)
+        return Moments(count, mean, m2, np.asarray(low, np.float64), np.asarray(high, np.float64), quantiles)
+
+
+def _quantiles(x: NDArray[np.floating], count: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quantiles [5, width] of rows [T, width], NaN left out: the least value that so large a share does not exceed, from which
+    LeRobot's histograms differ by a bin; 0 where there is none."""
+    if not len(x):
+        return np.zeros((len(QUANTILES), x.shape[1]))
+    shares = np.array(list(QUANTILES.values()))
+    rank = np.maximum(np.ceil(shares[:, None] * count) - 1, 0).astype(np.intp)
+    return np.nan_to_num(np.take_along_axis(np.sort(x, axis=0), rank, axis=0).astype(np.float64))  # NaN are sorted last
 
 
 def merged(a: Moments, b: Moments) -> Moments:
@@ -60,12 +82,16 @@ def merged(a: Moments, b: Moments) -> Moments:
         count = a.count + b.count
         share = b.count / np.maximum(count, 1)
         gap = b.mean - a.mean
+        quantiles = None
+        if a.quantiles is not None and b.quantiles is not None:
+            quantiles = a.quantiles + (b.quantiles - a.quantiles) * share
         return Moments(
             count,
             a.mean + gap * share,
             a.m2 + b.m2 + gap * gap * a.count * share,
             np.minimum(a.low, b.low),
             np.maximum(a.high, b.high),
+            quantiles,
         )
 
 
@@ -76,9 +102,11 @@ def merge_into(total: dict[str, Moments], more: Mapping[str, Moments]) -> None:
 
 
 def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, list[Any]]:
-    """min, max, mean, std and count as LeRobot stores them; 0 for a value that was never finite, as JSON has no NaN."""
+    """min, max, mean, std, count and quantiles as LeRobot stores them; 0 for a value that was never finite: JSON has no NaN."""
     any_finite = m.count > 0
     named = {"min": m.low, "max": m.high, "mean": m.mean, "std": m.std}
+    if m.quantiles is not None:
+        named |= dict(zip(QUANTILES, m.quantiles, strict=True))
     out = {k: np.nan_to_num(np.where(any_finite, v, 0.0)).reshape(shape).tolist() for k, v in named.items()}
     return {**out, "count": [frames]}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -38,10 +38,13 @@ _RESTORE = (
 )
 
 
-def read_whole(path: AnyPath) -> pa.Table:
-    """A small Parquet file: half the time of `pq.read_table`, which prepares for a folder of files."""
+def read_whole(path: AnyPath, leave_out: Callable[[str], bool] | None = None) -> pa.Table:
+    """A small Parquet file, but for columns that are to be left out: half the time of `pq.read_table`, which prepares for a
+    folder of files."""
     with pq.ParquetFile(readable(path), page_checksum_verification=True) as file:
-        return file.read(use_threads=False)
+        if leave_out is None:
+            return file.read(use_threads=False)
+        return file.read([n for n in file.schema_arrow.names if not leave_out(n)], use_threads=False)
 
 
 class DatasetRecords:

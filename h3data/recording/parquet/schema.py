@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from h3data.errors import FormatError, InputError
+from h3data.recording.parquet.moments import STATISTICS
 from h3data.recording.parquet.videos import VideoFeature
 from h3data.recording.records import SCHEMA_VERSION
 from h3data.recording.schema import (
@@ -90,6 +91,8 @@ class DatasetSchema:
     """Cameras of which every episode has a video."""
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Names of the numbers in a column, by column, where an export to LeRobot knows them."""
+    episode_stats: bool = True
+    """Whether the episode tables have LeRobot's statistics of every feature; those of older datasets have the videos' alone."""
 
     def stored_dtype(self, column: Column) -> str:
         """The dtype of a column in the data files: since version 1.2 a uint64 is an int64 of the same bits.
@@ -107,6 +110,8 @@ class DatasetSchema:
             values["videos"] = [asdict(video) for video in self.videos]
         if self.names:
             values["names"] = dict(self.names)
+        if self.episode_stats:
+            values["episode_stats"] = True
         return json.dumps(values, indent=1, ensure_ascii=False).encode()
 
     @classmethod
@@ -126,7 +131,10 @@ class DatasetSchema:
             videos = tuple(VideoFeature(**video) for video in values.get("videos", ()))
             columns = layout_from_json(text)
             names = {str(name): tuple(map(str, each)) for name, each in dict(values.get("names", {})).items()}
-            return cls(columns=columns, fps=fps, robot_type=robot, version=version, videos=videos, names=names)
+            stats = values.get("episode_stats") is True
+            return cls(
+                columns=columns, fps=fps, robot_type=robot, version=version, videos=videos, names=names, episode_stats=stats
+            )  # fmt: skip
         except FileNotFoundError:
             raise FormatError(f"Expected a dataset of h3data, there is no {path.name}: {path}") from None
         except (OSError, KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -167,15 +175,21 @@ def data_schema(schema: DatasetSchema) -> pa.Schema:
 
 
 def episode_schema(schema: DatasetSchema) -> pa.Schema:
-    """Arrow schema of the episode tables: `EPISODE_SCHEMA`, and for every camera the place of its video and its statistics."""
+    """Arrow schema of the episode tables: `EPISODE_SCHEMA`, for every camera the place of its video, and statistics."""
     fields = list(EPISODE_SCHEMA)
     channels = pa.list_(pa.list_(pa.list_(pa.float64())))
     for video in schema.videos:
         at, stats = f"videos/{video.key}", f"stats/{video.key}"
         fields += [pa.field(f"{at}/{name}", pa.int64()) for name in ("chunk_index", "file_index")]
         fields += [pa.field(f"{at}/{name}", pa.float64()) for name in ("from_timestamp", "to_timestamp")]
-        fields += [pa.field(f"{stats}/{name}", channels) for name in ("min", "max", "mean", "std")]
+        names = STATISTICS if schema.episode_stats else ("min", "max", "mean", "std")
+        fields += [pa.field(f"{stats}/{name}", channels) for name in names]
         fields.append(pa.field(f"{stats}/count", pa.list_(pa.int64())))
+    stored = STANDARD | {c.name: schema.stored_dtype(c) for c in schema.columns if c.width}
+    for name, dtype in stored.items() if schema.episode_stats else ():
+        numbers = pa.list_(pa.float32() if dtype == "float32" else pa.float64())
+        fields += [pa.field(f"stats/{name}/{statistic}", numbers) for statistic in STATISTICS]
+        fields.append(pa.field(f"stats/{name}/count", pa.list_(pa.int64())))
     return pa.schema(fields)
 
 

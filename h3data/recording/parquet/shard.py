@@ -112,6 +112,9 @@ class Shard:
         if steps:
             self._writer.write_table(table, row_group_size=steps)
             merge_into(self.moments, moments)
+            if self.schema.episode_stats:
+                for name, m in moments.items():
+                    place |= _episode_stats(name, m, steps, (-1,))
             for key, video in videos.items():
                 place |= self._add_video(key, video)
         self.rows.append({**row, **place, "row_group": self.row_groups if steps else -1})
@@ -158,7 +161,7 @@ class Shard:
         place = _video_place(key, self.number, start / fps, (start + video.length) / fps)
         self.videos[key].add(video)
         merge_into(self.moments, {key: video.moments})
-        return place | _video_stats(key, video.moments, video.length)
+        return place | _episode_stats(key, video.moments, video.length, (3, 1, 1))
 
     @property
     def _no_video(self) -> dict[str, Any]:
@@ -185,7 +188,18 @@ class Shard:
 
     def _write(self, kind: str, table: pa.Table) -> None:
         with self._open(kind) as stream:
-            pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
+            # of the few rows of some hundred statistics, what Parquet says about each column would take twice as much as they
+            plain = [name for name in table.column_names if not name.startswith("stats/")]
+            options: dict[str, Any] = {"use_dictionary": plain, "write_statistics": plain}
+            options["store_schema"] = len(plain) == table.num_columns
+            with pq.ParquetWriter(
+                stream, table.schema, compression="zstd", write_page_checksum=True, **options
+            ) as writer:
+                writer.write_table(table)
+                if len(plain) < table.num_columns:
+                    writer.add_key_value_metadata(
+                        {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
+                    )
             _sync(stream)
 
 
@@ -201,9 +215,9 @@ def _video_place(key: str, number: int, start_s: float, end_s: float) -> dict[st
     return {f"videos/{key}/{name}": value for name, value in place.items()}
 
 
-def _video_stats(key: str, moments: Moments, frames: int) -> dict[str, Any]:
-    """LeRobot's statistics of one episode's video as columns of the episode table: [3, 1, 1] each, and [1]."""
-    return {f"stats/{key}/{name}": values for name, values in lerobot_stats(moments, frames, (3, 1, 1)).items()}
+def _episode_stats(key: str, moments: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, Any]:
+    """LeRobot's statistics of a feature in one episode as columns of the episode table, of this shape each, and [1]."""
+    return {f"stats/{key}/{name}": values for name, values in lerobot_stats(moments, frames, shape).items()}
 
 
 def _sync(stream: IO[bytes]) -> None:

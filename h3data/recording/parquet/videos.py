@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_path
-from h3data.recording.parquet.moments import Moments
+from h3data.recording.parquet.moments import QUANTILES, Moments
 from h3data.recording.storage import AnyPath, open_binary
 
 FEATURE = "observation.images."
@@ -108,6 +108,8 @@ def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, 
         low, high, mean, std = (
             np.array(row[f"{stats}/{n}"], np.float64).reshape(3) for n in ("min", "max", "mean", "std")
         )
+        stored = [row.get(f"{stats}/{name}") for name in QUANTILES]
+        quantiles = None if None in stored else np.array(stored, np.float64).reshape(len(QUANTILES), 3)
         (frames,) = row[f"{stats}/count"]
         pixels = np.full(3, float(frames) * feature.width * feature.height)
         return EpisodeVideo(
@@ -115,7 +117,7 @@ def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, 
             path=shard_path(root, at, number).with_name(f"file-{number % FILES_PER_CHUNK:03d}.mp4"),
             length=row["length"],
             fps=fps,
-            moments=Moments(pixels, mean, std**2 * pixels, low, high),
+            moments=Moments(pixels, mean, std**2 * pixels, low, high, quantiles),
             start=round(row[f"{at}/from_timestamp"] * fps),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:

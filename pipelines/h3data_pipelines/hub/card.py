@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,11 +22,17 @@ from h3data_pipelines.hub.provenance import read_commands
 
 if TYPE_CHECKING:
     from h3data.metrics import MetricsTable
-    from h3data.recording import Dataset
+    from h3data.recording import Dataset, Recording
+
+log = logging.getLogger(__name__)
 
 CARD, PICTURE = "README.md", "card.jpg"
 SHOWN = 4
 """Episodes in the picture."""
+CANDIDATES, CANDIDATE_WIDTH = 16, 96
+"""Moments of an episode of which the one that shows most is chosen, and the width of the pictures that tell [pixels]."""
+SEEN_SHARE, AGENT_COUNTS = 0.01, 20
+"""What covers so much of a picture is seen in it; an agent is worth as many other things."""
 _HEIGHT, _WIDTH = 180, 320
 _LISTED = 12
 
@@ -88,10 +95,11 @@ def card_text(dataset: Dataset, *, title: str, license: str, repo: str, picture:
     """The card in Markdown."""
     rows = dataset.rows
     steps, fps = sum(row["length"] for row in rows), dataset.schema.fps
+    empty = sum(not row["length"] for row in rows)
     tasks, scenes = (Counter(str(row[name]) for row in rows) for name in ("task", "scene"))
     instructions = Counter(told for row in rows for told in row["tasks"])
     facts = {
-        "episodes": f"{len(rows):,}, of which {sum(not row['length'] for row in rows)} without steps",
+        "episodes": f"{len(rows):,}" + (f", of which {empty} without steps" if empty else ""),
         "steps": f"{steps:,} at {fps} per second ({steps / fps / 3600:.2f} h)",
         "tasks": _listed(tasks),
         "instructions": _listed(instructions),
@@ -160,15 +168,21 @@ def _front_matter(title: str, license: str, steps: int, tasks: Sequence[str]) ->
 
 
 def _figures(dataset: Dataset) -> list[str]:
-    """Metrics of the episodes, a table for each task."""
+    """Metrics of the episodes, a table for each task; nothing where none of them has any, as in exports to LeRobot."""
     from h3data.metrics.batch import measure_tables
+    from h3data.metrics.requirements import UnmeasurableError
 
     try:
         tables = measure_tables([Path(str(dataset.root))])
+    except UnmeasurableError:
+        return []
     except H3DataError as error:
-        return ["## Metrics", "", f"Not measured: {error}", ""]
+        log.warning("The card has no metrics: %s", error)
+        return []
     lines = []
     for table in tables:
+        if all(np.isnan(summary.mean) for summary in table.summary().values()):
+            continue
         lines += [f"## Metrics: {table.episodes[0].task}", "", *_markdown(table), ""]
     return lines
 
@@ -234,7 +248,7 @@ def _seeds(seeds: Iterable[int]) -> str:
 
 # --- the picture ------------------------------------------------------------------------------------------------------
 def card_picture(dataset: Dataset) -> NDArray[np.uint8] | None:
-    """The middles of some episodes side by side, and below each what the first camera saw; None if there are no steps."""
+    """Moments of some episodes side by side, and below each what the first camera saw; None if there are no steps."""
     played = [row["episode_index"] for row in dataset.rows if row["length"]]
     if not played:
         return None
@@ -247,12 +261,43 @@ def _column(dataset: Dataset, index: int) -> NDArray[np.uint8]:
     from h3data.api import render_frame
 
     recording = dataset.recording(index)
-    step = len(recording) // 2
-    pictures = [render_frame(recording, camera="third_person" if recording.agents else "top_down", step=step)["rgb"]]
+    camera = "third_person" if recording.agents else "top_down"
+    step = _step_that_shows_most(recording, [camera, *dataset.cameras[:1]])
+    pictures = [render_frame(recording, camera=camera, step=step)["rgb"]]
     if dataset.cameras:
         frames = dataset.video(index, dataset.cameras[0]).frames()
         pictures.append(next(frame for k, frame in enumerate(frames) if k == step))
     return np.concatenate([_fitted(picture) for picture in pictures])
+
+
+def _step_that_shows_most(recording: Recording, cameras: Sequence[str]) -> int:
+    """The step at which most different things, agents above all, are in the pictures of some cameras."""
+    from h3data.replay import Replay, camera_track
+    from h3data.replay.cameras import camera_names
+
+    replay = Replay(recording)
+    known = camera_names(replay)
+    tracks = [camera_track(replay, name) for name in cameras if name in known or "/" in name]
+    tracks = [
+        track.resized(CANDIDATE_WIDTH, max(round(CANDIDATE_WIDTH * track.camera.height / track.camera.width), 1))
+        for track in tracks
+    ]
+    steps = np.unique(np.linspace(0, len(recording) - 1, CANDIDATES).astype(int)).tolist()
+    agents = np.array([drawable.agent for drawable in replay.drawables], np.int64)
+    shown = [
+        sum(_things_in(image["instance"], agents) for image in images)
+        for _, images in replay.frames(tracks, steps, outputs=("instance",))
+    ]
+    return steps[int(np.argmax(shown))]
+
+
+def _things_in(instances: NDArray[np.integer], agents: NDArray[np.int64]) -> int:
+    """How many things a picture of ids [H, W] shows; ``agents`` has the agent of each id, -1 for things."""
+    ids, pixels = np.unique(instances[instances >= 0], return_counts=True)
+    of = agents[ids]
+    things = (pixels[of < 0] >= SEEN_SHARE * instances.size).sum()
+    people = (np.bincount(of[of >= 0], pixels[of >= 0]) >= SEEN_SHARE * instances.size).sum()
+    return int(things + AGENT_COUNTS * people)
 
 
 def _fitted(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:

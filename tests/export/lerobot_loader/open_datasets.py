@@ -8,9 +8,11 @@ or ``DATASET=PICTURES`` with a folder of ``<anything>#<episode>.<camera>.rgb/<st
 from __future__ import annotations
 
 import functools
+import json
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -53,6 +55,7 @@ if not hasattr(torchvision.io, "VideoReader"):
     torchvision.io.VideoReader = VideoReader
     torchvision.set_video_backend = lambda backend: None
 
+from lerobot.datasets.compute_stats import aggregate_stats, get_feature_stats  # noqa: E402
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
 BACKEND = os.environ.get("LEROBOT_BACKEND", "pyav")
@@ -90,6 +93,7 @@ def check(root: Path, pictures: Path | None) -> str:
                         assert found > psnr_db(row[camera], neighbour), (camera, k, other)
                         told_apart += 1
     assert {camera: dataset.meta.stats[camera]["mean"].shape for camera in cameras} == dict.fromkeys(cameras, (3, 1, 1))
+    check_statistics(root, table)
     if "action" in table:
         check_windows(root, dataset, cameras)
     seen = f", {compared} frames of {len(cameras)} cameras as rendered (at least {worst:.1f} dB" if compared else ""
@@ -97,6 +101,42 @@ def check(root: Path, pictures: Path | None) -> str:
     tasks = ", ".join(map(repr, dataset.meta.tasks.index))
     rows = f"{len(dataset)} rows of {len(table)} columns are equal"
     return f"{root}: {dataset.meta.total_episodes} episodes ({tasks}), {rows}{seen}"
+
+
+def check_statistics(root: Path, table: dict[str, list[Any]]) -> None:
+    """Statistics of each episode and of the dataset, against lerobot's own."""
+    rows = pq.read_table(root / "meta" / "episodes").to_pylist()
+    stored = json.loads((root / "meta" / "stats.json").read_text())
+    episodes = np.asarray(table["episode_index"])
+    features = {name: np.asarray(values, np.float64).reshape(len(episodes), -1) for name, values in table.items()}
+    features = {
+        name: values for name, values in features.items() if np.isfinite(values).all()
+    }  # lerobot knows no padding
+    assert len(features) > 10
+    each = []
+    for row in rows:
+        own = {name: values[episodes == row["episode_index"]] for name, values in features.items()}
+        each.append({name: get_feature_stats(values, axis=0, keepdims=False) for name, values in own.items()})
+        for name, expected in each[-1].items():
+            compare(row_stats(row, name), expected, f"{name} of episode {row['episode_index']}")
+    for name, expected in aggregate_stats(each).items():
+        compare(stored[name], expected, name)
+
+
+def row_stats(row: dict[str, Any], name: str) -> dict[str, Any]:
+    """The statistics of a feature in a row of the episode table."""
+    prefix = f"stats/{name}/"
+    return {key.removeprefix(prefix): value for key, value in row.items() if key.startswith(prefix)}
+
+
+def compare(ours: dict[str, Any], theirs: dict[str, np.ndarray], what: str) -> None:
+    """The same statistics, to float32 and, of quantiles, to two of lerobot's 5,000 bins."""
+    assert ours.keys() == theirs.keys(), (what, ours.keys() ^ theirs.keys())
+    reach = np.asarray(theirs["max"]) - theirs["min"]
+    size = np.maximum(np.abs(theirs["max"]), np.abs(theirs["min"]))
+    for name, expected in theirs.items():
+        near = 2e-6 * size + (reach / 2500 if name.startswith("q") else 2e-5 * reach) + 1e-9
+        assert (np.abs(np.asarray(ours[name]) - expected) <= near).all(), (what, name, ours[name], expected)
 
 
 def check_windows(root: Path, dataset: LeRobotDataset, cameras: list[str]) -> None:

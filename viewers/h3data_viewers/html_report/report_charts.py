@@ -224,6 +224,13 @@ def _panel(longest: float, high: float, alt: str, x_title: str, low: float = 0.0
 
 
 # --- learning ---------------------------------------------------------------------------------------------------------
+LEARNED: Mapping[str, str] = {
+    "reward": "reward: mean of a step",
+    "distance_m": "distance_m: mean distance between robot and person [m], the curve that the paper plots beside the reward",
+}
+"""Captions of quantities that the paper's training curves show too."""
+
+
 def learning_charts(curves: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> list[str]:
     """One panel per logged quantity, one line per training."""
     quantities = dict.fromkeys(name for curve in curves.values() for name in curve if name != "step")
@@ -242,7 +249,7 @@ def _learning(name: str, curves: Mapping[str, Mapping[str, NDArray[np.float64]]]
     for k, steps, values in lines:
         keep = np.unique(np.linspace(0, len(steps) - 1, 400).astype(int))
         svg.path([(x(a), y(b)) for a, b in zip(steps[keep], values[keep], strict=True)], f"line {series_class(k)}")
-    return _figure(svg, name)
+    return _figure(svg, LEARNED.get(name, name))
 
 
 # --- small things -----------------------------------------------------------------------------------------------------
