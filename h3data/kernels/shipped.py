@@ -59,6 +59,8 @@ RECORD = "H3DATA_KERNELS_RECORD"
 PACKAGE = "h3data_kernels"
 _HARMLESS = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER", "NUMBA_DISABLE_PERFORMANCE_WARNINGS")
 """Settings of numba that do not change what it compiles."""
+_ANNOTATION = 5
+"""Place of the annotated source among what follows the machine code in `CompileResult._reduce`."""
 _FORMAT = 1
 """Part of the digests: raise it when machine code changes for a reason that they do not see."""
 
@@ -144,10 +146,19 @@ def record(dispatcher: Any, kinds: Sequence[types.Type]) -> None:
         log.warning("No digest covers %s of %s; it will not be shipped.", dispatcher.__name__, dispatcher.__module__)
     elif not (path := _recorded(name)).exists():
         cache = dispatcher._cache
-        payload = dumps(cache._cache_file.load(cache._index_key(tuple(kinds), dispatcher.targetctx.codegen())))
+        payload = cache._cache_file.load(cache._index_key(tuple(kinds), dispatcher.targetctx.codegen()))
         part = path.with_suffix(f".{os.getpid()}.part")
-        part.write_bytes(lzma.compress(payload, preset=9 | lzma.PRESET_EXTREME))
+        part.write_bytes(lzma.compress(dumps(_without_paths(payload)), preset=9 | lzma.PRESET_EXTREME))
         part.replace(path)
+
+
+def _without_paths(payload: tuple[Any, ...]) -> tuple[Any, ...]:
+    """What numba keeps of a kernel, without the folder in which it was compiled: the annotated source goes, and names of
+    files, which tracebacks of exceptions show, begin with ``h3data///`` of the same length."""
+    (name, kind, (machine_code, bitcode)), *more = payload
+    root = str(Path(__file__).parents[2]).encode()
+    more[_ANNOTATION] = ""
+    return (name, kind, (machine_code.replace(root, b"h3data".ljust(len(root), b"/")), bitcode)), *more
 
 
 def _recorded(name: str) -> Path:
