@@ -34,7 +34,10 @@ def run(emit: Emit) -> None:
     os.environ["H3DATA_CACHE"] = "off"
     code = "from benchmarks.render_light import compiled; compiled()"
     with TemporaryDirectory() as folder:
-        command, there = [sys.executable, "-c", code], {**os.environ, "NUMBA_CACHE_DIR": folder}
+        command, there = (
+            [sys.executable, "-c", code],
+            {**os.environ, "NUMBA_CACHE_DIR": folder, "NUMBA_CPU_NAME": "host"},
+        )
         told = subprocess.run(
             command, cwd=Path(__file__).parents[1], env=there, capture_output=True, text=True, check=True
         )

@@ -192,10 +192,13 @@ def _announce() -> None:
             if error.errno == errno.EADDRINUSE:
                 return
         announcer.detach()  # open until the process ends
+    text = ANNOUNCEMENT
+    if shipped.missing() == shipped.NOT_INSTALLED and shipped.folder_name().endswith(f"linux-{shipped.LEVEL}"):
+        text += " The package h3data-kernels has them compiled."
     if _log.hasHandlers():
-        _log.info(ANNOUNCEMENT)
+        _log.info(text)
     else:
-        sys.stderr.write(ANNOUNCEMENT + "\n")
+        sys.stderr.write(text + "\n")
 
 
 @functools.cache

@@ -55,10 +55,13 @@ LEVEL_FEATURES = (
     "sse4.2",
     "ssse3",
 )
+NOT_INSTALLED = "h3data-kernels is not installed"
 RECORD = "H3DATA_KERNELS_RECORD"
 PACKAGE = "h3data_kernels"
 _HARMLESS = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER", "NUMBA_DISABLE_PERFORMANCE_WARNINGS")
 """Settings of numba that do not change what it compiles."""
+_ANNOTATION = 6
+"""Place of the annotated source in what `CompileResult._reduce` returns."""
 _FORMAT = 1
 """Part of the digests: raise it when machine code changes for a reason that they do not see."""
 
@@ -99,7 +102,7 @@ def _found() -> Path | str:
     here = Path(__file__).parents[2]  # of all packages: site-packages, or a checkout
     packages = [each / PACKAGE for each in (here, here / "pipelines") if (each / PACKAGE).is_dir()]
     if not packages:
-        return "h3data-kernels is not installed"
+        return NOT_INSTALLED
     folders = [package / folder_name() for package in packages if (package / folder_name()).is_dir()]
     if not folders:
         return f"h3data-kernels has none for {folder_name()}"
@@ -144,10 +147,24 @@ def record(dispatcher: Any, kinds: Sequence[types.Type]) -> None:
         log.warning("No digest covers %s of %s; it will not be shipped.", dispatcher.__name__, dispatcher.__module__)
     elif not (path := _recorded(name)).exists():
         cache = dispatcher._cache
-        payload = dumps(cache._cache_file.load(cache._index_key(tuple(kinds), dispatcher.targetctx.codegen())))
+        payload = cache._cache_file.load(cache._index_key(tuple(kinds), dispatcher.targetctx.codegen()))
         part = path.with_suffix(f".{os.getpid()}.part")
-        part.write_bytes(lzma.compress(payload, preset=9 | lzma.PRESET_EXTREME))
+        part.write_bytes(lzma.compress(_without_paths(payload), preset=9 | lzma.PRESET_EXTREME))
         part.replace(path)
+
+
+def _without_paths(payload: Sequence[Any]) -> bytes:
+    """The pickle of what numba keeps of a kernel, without the annotated source and without names of folders.
+
+    Files are named for tracebacks of exceptions; their folders become ``h3data///`` and ``numba///`` of the same lengths.
+    """
+    fields = list(payload)
+    fields[_ANNOTATION] = ""
+    text = dumps(tuple(fields))
+    for name, folder in (("h3data", Path(__file__).parents[2]), ("numba", Path(numba.__file__).parents[1])):
+        place = str(folder).encode()
+        text = text.replace(place, name.encode().ljust(len(place), b"/")[: len(place)])
+    return text
 
 
 def _recorded(name: str) -> Path:
