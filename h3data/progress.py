@@ -20,12 +20,23 @@ _LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far, about {remain
 _EARLY_LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far{postfix}"
 _EARLY = 0.03
 """Share of the units below which nothing is foretold: the first one waits for kernels that are compiled once."""
+_shown = False
 _LINE_WITHOUT_TOTAL = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
 
 
 def is_quiet() -> bool:
     """Whether progress and notices are off."""
     return os.environ.get(QUIET, "") not in ("", "0")
+
+
+def has_begun() -> bool:
+    """Whether this process has shown progress: notices, which would come between its lines, are too late then."""
+    return _shown
+
+
+def _has_begun() -> None:
+    global _shown
+    _shown = True
 
 
 def progress(
@@ -65,10 +76,14 @@ def progress(
         "disable": silent,
         "file": sys.stderr,
     }
+    if terminal and not silent:
+        _has_begun()
     if silent or terminal:
         return tqdm(items, delay=delay, leave=leave, **shared)
     form = _LINE_WITHOUT_TOTAL if total is None else _LINE
-    return _lines_bar()(items, mininterval=LINE_EVERY_S, delay=LINE_EVERY_S, leave=False, bar_format=form, **shared)
+    # miniters: else tqdm counts from line to line only, and a thread of its own repeats the last line every ten seconds
+    every = {"mininterval": LINE_EVERY_S, "miniters": 1, "delay": LINE_EVERY_S}
+    return _lines_bar()(items, **every, leave=False, bar_format=form, **shared)
 
 
 def _lines_bar() -> type[tqdm[Any]]:
@@ -86,6 +101,7 @@ def _lines_bar() -> type[tqdm[Any]]:
         def display(self, msg: str | None = None, pos: int | None = None) -> None:
             text = str(self) if msg is None else msg
             if text:
+                _has_begun()
                 self.fp.write(text + "\n")
                 self.fp.flush()
 

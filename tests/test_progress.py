@@ -51,3 +51,27 @@ def test_a_bar_on_a_terminal() -> None:
         assert list(progress([1, 2], desc="a\x1b[2J", unit="step")) == [1, 2]
     assert "100%" in stream.getvalue()
     assert "\x1b[2J" not in stream.getvalue()
+
+
+def test_no_line_is_written_again() -> None:
+    # pitfall: from 2 skipped units on, a thread of tqdm writes the last line again every ten seconds, estimate and all
+    with redirect_stderr(Stream()), progress(range(100), desc="render", unit="frame") as bar:
+        assert bar.miniters == 1
+        assert not bar.dynamic_miniters
+
+
+def test_kernels_are_not_announced_between_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    from h3data import kernels
+
+    monkeypatch.delenv(QUIET, raising=False)
+    for begun in (False, True):
+        monkeypatch.setattr(progress_module, "_shown", False)
+        said: list[str] = []
+        monkeypatch.setattr(kernels._log, "info", said.append)
+        monkeypatch.setattr(kernels._log, "hasHandlers", lambda: True)
+        monkeypatch.setattr(kernels.socket.socket, "bind", lambda *_: None)
+        if begun:
+            with redirect_stderr(Stream()):
+                progress(range(3), desc="render", unit="frame").display()
+        kernels._announce.__wrapped__()
+        assert said == ([] if begun else [kernels.ANNOUNCEMENT])

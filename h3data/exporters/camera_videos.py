@@ -18,6 +18,7 @@ from h3data.recording.parquet.videos import EpisodeVideo, VideoFeature
 from h3data.render import VideoWriter
 from h3data.render.light.sources import LightMode
 from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.replay.stage import FrameBackend
 
 KEY_FRAMES = 10
 """Frames from one key frame to the next. Learners read frames in random order: one costs 1.7 ms at 640x480, 4.8 ms with 30
@@ -38,6 +39,7 @@ def render_videos(
     assets: Sequence[Path] = (),
     people: PeopleStyle = "skin",
     light: LightMode = "baked",
+    backend: FrameBackend = "cpu",
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda frames, total: frames,
 ) -> list[EpisodeVideo]:
     """Renders the first ``steps`` steps (default: all) from each camera into ``folder``, ``<camera>.mp4``.
@@ -53,6 +55,7 @@ def render_videos(
         assets: Folders below which recorded asset files are searched.
         people: How people are shown.
         light: ``flat`` or ``baked`` (`h3data.render.light`).
+        backend: Who draws (`h3data.replay.stage.chosen_backend`).
         progress: Wraps the iterable of frames.
 
     Raises:
@@ -85,7 +88,9 @@ def render_videos(
                 for writer, image in zip(writers, images, strict=True)
             ]
 
-        frames = replay.stage.frames(tracks, range(count), outputs=("rgb",), threads=threads, then=prepare)
+        frames = replay.stage.frames(
+            tracks, range(count), outputs=("rgb",), threads=threads, then=prepare, backend=backend
+        )
         for _, prepared in progress(frames, count):
             for writer, total, (planes, histogram) in zip(writers, histograms, prepared, strict=True):
                 writer.write_planes(planes)

@@ -93,6 +93,7 @@ def _rendered(
         threads=request.threads,
         assets=request.assets,
         light=recording.episode.info.get("light", "flat" if request.stored_cameras else "baked"),
+        backend=request.backend,
         progress=lambda items, total: request.progress(items, total, "frame"),
     )
 

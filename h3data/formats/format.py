@@ -80,6 +80,8 @@ class ExportRequest:
     """The `h3data.recording.parquet.videos.EpisodeVideo` records of a recording, by its number, in that dataset."""
     threads: int = 1
     """Threads for rendering."""
+    backend: Any = "cpu"
+    """Who renders, a `h3data.replay.stage.FrameBackend`."""
     progress: Callable[[Iterable[Any], int, str], Iterable[Any]] = lambda items, total, unit: items
     """Wraps an iterable to show progress."""
 

@@ -36,7 +36,7 @@ from numba.misc.appdirs import AppDirs
 from h3data.kernels import shipped
 from h3data.kernels.digests import OURS, source_digest
 from h3data.kernels.parts import PartCompiler, part_type
-from h3data.progress import is_quiet
+from h3data.progress import has_begun, is_quiet
 
 try:
     import fcntl
@@ -181,8 +181,11 @@ def _garbage_kept() -> Iterator[None]:
 
 @functools.cache
 def _announce() -> None:
-    """Says on stderr, or in the log if there is one, that compiling takes a while: once for a process and its workers."""
-    if is_quiet() or not _log.isEnabledFor(logging.INFO):
+    """Says on stderr, or in the log if there is one, that compiling takes a while: once for a process and its workers.
+
+    Between lines of progress it would only puzzle.
+    """
+    if is_quiet() or has_begun() or not _log.isEnabledFor(logging.INFO):
         return
     parent = parent_process()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as announcer:

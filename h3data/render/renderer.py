@@ -226,6 +226,11 @@ def _gpu_engines() -> tuple[Any, str]:
     return gpu, "" if torch.cuda.is_available() else "PyTorch finds no CUDA device"
 
 
+def gpu_fault() -> str:
+    """Why the back end ``gpu`` cannot be used here; empty if it can."""
+    return _gpu_engines()[1]
+
+
 def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads: int) -> tuple[Backend, Engine]:
     if backend not in get_args(Backend):
         raise InputError(f"Unknown back end {backend!r}. Available: {', '.join(get_args(Backend))}.")

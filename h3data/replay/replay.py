@@ -13,7 +13,7 @@ from h3data.replay.records import CameraTrack
 
 if TYPE_CHECKING:
     from h3data.render import Output
-    from h3data.replay.stage import Stage
+    from h3data.replay.stage import FrameBackend, Stage
 
 
 class Replay(PosedRecording):
@@ -34,16 +34,17 @@ class Replay(PosedRecording):
         outputs: Sequence[Output] = ("rgb",),
         samples: Literal[1, 4] = 1,
         threads: int = 1,
+        backend: FrameBackend = "cpu",
     ) -> Iterator[tuple[int, list[dict[str, NDArray[Any]]]]]:
         """Yields ``(step, [outputs of each camera])`` in the order of ``steps``.
 
         Only a few frames are rendered ahead, so memory does not grow with the length of the recording. The images do not
-        depend on the number of ``threads``.
+        depend on the number of ``threads``. ``backend`` is ``cpu``, ``gpu`` (docs/gpu.md), or ``auto``: a GPU if there is one.
 
         Raises:
-            InputError: a step is outside the recording.
+            InputError: a step is outside the recording, or there is no GPU for ``gpu``.
         """
         for step in steps:
             if not 0 <= step < len(self):
                 raise self._no_such_step(step)
-        yield from self.stage.frames(tracks, steps, outputs=outputs, samples=samples, threads=threads)
+        yield from self.stage.frames(tracks, steps, outputs=outputs, samples=samples, threads=threads, backend=backend)

@@ -5,26 +5,31 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid
+from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.render import Camera, Light, Output, Renderer, RenderInstance, RenderScene
 from h3data.render.light.bake import lit_scene
 from h3data.render.light.field import capsule_of_box
 from h3data.render.light.sources import sources_of
+from h3data.render.renderer import Backend, gpu_fault
 from h3data.replay.posed_recording import PosedRecording
 from h3data.replay.records import BodyTrack, CameraTrack, JointTrack, LinkTrack, PersonTrack
 from h3data.replay.shadow_casters import ShadowCasters, shadow_casters
 from h3data.scene import Mesh
 
+FrameBackend = Literal["auto", "cpu", "gpu"]
+WORLDS = 32
+"""Steps that a GPU draws at once, each in a world of its own."""
 JOINT_STEPS = 64
 """Steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
 
@@ -151,9 +156,9 @@ class Stage:
         return self.replay.joint_matrices(agent, np.arange(first, min(first + JOINT_STEPS, len(self.replay))))
 
     # --- images -------------------------------------------------------------------------------------------------------
-    def renderer(self) -> Renderer:
-        """A renderer for one thread, to be passed to `render`."""
-        return Renderer(self.scene, light=self._light)
+    def renderer(self, backend: Backend = "cpu", *, worlds: int = 1) -> Renderer:
+        """A renderer for one thread, to be passed to `render`, or with worlds to `render_steps`."""
+        return Renderer(self.scene, light=self._light, backend=backend, worlds=worlds)
 
     def render(
         self,
@@ -165,28 +170,63 @@ class Stage:
         samples: Literal[1, 4] = 1,
     ) -> Images:
         """The outputs of each camera at ``step``, by a renderer of this stage."""
+        people = self._pose(renderer, step)
+        posed: set[_Skin] = set()
+        images = []
+        for camera in cameras:
+            for person, joints in people:
+                _show(renderer, person, joints, camera, posed)
+            images.append(renderer.render(camera, outputs=outputs, samples=samples))
+        return images
+
+    def render_steps(
+        self,
+        renderer: Renderer,
+        steps: Sequence[int],
+        tracks: Sequence[CameraTrack],
+        *,
+        outputs: Sequence[Output],
+        samples: Literal[1, 4] = 1,
+    ) -> list[Images]:
+        """`render` for several steps at once, each in a world of the renderer."""
+        people = [self._pose(renderer, step, world=world) for world, step in enumerate(steps)]
+        posed: list[set[_Skin]] = [set() for _ in steps]
+        images: list[Images] = [[] for _ in steps]
+        for track in tracks:
+            cameras = [track.at(step) for step in steps]
+            for world, camera in enumerate(cameras):
+                for person, joints in people[world]:
+                    _show(renderer, person, joints, camera, posed[world], world=world)
+            drawn = renderer.render_batch(cameras, worlds=range(len(steps)), outputs=outputs, samples=samples)
+            host = {name: array.cpu().numpy() if hasattr(array, "cpu") else array for name, array in drawn.items()}
+            for world in range(len(steps)):
+                images[world].append({name: array[world] for name, array in host.items()})
+        return images
+
+    def _pose(self, renderer: Renderer, step: int, *, world: int = 0) -> list[tuple[_Person, Array]]:
+        """Poses all but the people in a world; returns them with their joint matrices [1, 55, 4, 4]."""
         rigid: list[tuple[NDArray[np.intp], Array]] = []
         deformed: dict[int, NDArray[np.floating]] = {}
         if len(self._bodies):
             poses = self.replay.recording.columns["object_pose"][step, self._columns]
             matrices = pose_to_matrix(poses.astype(np.float64))  # NaN where a body is absent
             matrices[:, :3, :3] *= self._scales
-            renderer.set_transforms(self._bodies, matrices)
+            renderer.set_transforms(self._bodies, matrices, world=world)
             rigid.append((self._bodies, matrices))
         rows = np.array([step])
         if len(self._parts):
             motions = self.replay.joint_motions(rows)[0, self._part_joints]
-            renderer.set_transforms(self._parts, motions @ self._part_matrices)
+            renderer.set_transforms(self._parts, motions @ self._part_matrices, world=world)
         for agent, instances, links in self._robots:
             matrices = self.replay.link_matrices(agent, rows)[0, links]
-            renderer.set_transforms(instances, matrices)
+            renderer.set_transforms(instances, matrices, world=world)
             rigid.append((instances, matrices))
         for index, skin in self._rigged:
             vertices = self.replay.vertices(index, rows)[0]
             present = bool(np.isfinite(vertices).all())
-            renderer.set_visible([skin.instance], present)
+            renderer.set_visible([skin.instance], present, world=world)
             if present:
-                renderer.set_vertices(skin.mesh, vertices)
+                renderer.set_vertices(skin.mesh, vertices, world=world)
                 deformed[skin.instance] = capsule_of_box(vertices.min(0), vertices.max(0))[None]
         people = [
             (person, self._joints(person.agent, step // JOINT_STEPS)[[step % JOINT_STEPS]]) for person in self._people
@@ -197,14 +237,8 @@ class Stage:
                 skin = person.full or person.light
                 assert skin is not None
                 deformed[skin.instance] = np.column_stack([ends[0][0], ends[1][0], ends[2]])
-            renderer.set_blockers(self._casters.blockers(rigid, deformed))
-        posed: set[_Skin] = set()
-        images = []
-        for camera in cameras:
-            for person, joints in people:
-                _show(renderer, person, joints, camera, posed)
-            images.append(renderer.render(camera, outputs=outputs, samples=samples))
-        return images
+            renderer.set_blockers(self._casters.blockers(rigid, deformed), world=world)
+        return people
 
     def frames(
         self,
@@ -215,11 +249,16 @@ class Stage:
         samples: Literal[1, 4] = 1,
         threads: int = 1,
         then: Callable[[int, Images], Any] | None = None,
+        backend: FrameBackend = "cpu",
     ) -> Iterator[tuple[int, Any]]:
         """Yields ``(step, images)`` like `Replay.frames`, or ``(step, then(step, images))``.
 
-        ``then`` runs in the thread that rendered the images, e.g. to encode them in parallel.
+        ``then`` runs in the thread that rendered the images, or in one of the threads beside a GPU, e.g. to encode them in
+        parallel. ``backend`` as of `chosen_backend`.
         """
+        if chosen_backend(backend) == "gpu":
+            yield from self._frames_at_once(tracks, steps, outputs, samples, threads, then)
+            return
         local = threading.local()
 
         def render(step: int) -> Any:
@@ -245,8 +284,55 @@ class Stage:
                 for _, future in pending:
                     future.cancel()
 
+    def _frames_at_once(
+        self,
+        tracks: Sequence[CameraTrack],
+        steps: Sequence[int],
+        outputs: Sequence[Output],
+        samples: Literal[1, 4],
+        threads: int,
+        then: Callable[[int, Images], Any] | None,
+    ) -> Iterator[tuple[int, Any]]:
+        """`frames` by a GPU, which draws the next steps while ``then`` works on the last ones."""
+        renderer = self.renderer("auto", worlds=min(WORLDS, max(len(steps), 1)))
+        before: list[tuple[int, Future[Any]]] = []
+        with ThreadPoolExecutor(max(threads, 1), thread_name_prefix="h3data-render") as pool:
+            try:
+                for first in range(0, len(steps), WORLDS):
+                    some = steps[first : first + WORLDS]
+                    images = self.render_steps(renderer, some, tracks, outputs=outputs, samples=samples)
+                    work = then or (lambda _, pictures: pictures)
+                    now = [(step, pool.submit(work, step, one)) for step, one in zip(some, images, strict=True)]
+                    yield from ((step, future.result()) for step, future in before)
+                    before = now
+                yield from ((step, future.result()) for step, future in before)
+            finally:
+                for _, future in before:
+                    future.cancel()
 
-def _show(renderer: Renderer, person: _Person, joints: Array, camera: Camera, posed: set[_Skin]) -> None:
+
+def chosen_backend(backend: FrameBackend) -> Literal["cpu", "gpu"]:
+    """Who draws frames: ``gpu`` (docs/gpu.md says how equal its pictures are; views without perspective are the CPU's),
+    ``cpu``, or with ``auto`` the GPU if there is one.
+
+    Raises:
+        InputError: there is no such back end, or no GPU for ``gpu``.
+    """
+    if backend not in get_args(FrameBackend):
+        raise InputError(f"Unknown back end {backend!r}. Available: {', '.join(get_args(FrameBackend))}.")
+    if backend == "cpu":
+        return "cpu"
+    fault = gpu_fault()
+    if fault and backend == "gpu":
+        raise InputError(
+            f"There is no GPU to draw with: {fault}. Hint: cpu, or auto for a GPU only where there is one."
+        )
+    return "cpu" if fault else "gpu"
+
+
+def _show(
+    renderer: Renderer, person: _Person, joints: Array, camera: Camera, posed: set[_Skin], *, world: int = 0
+) -> None:
     """Shows the mesh that suits ``camera`` of a person with joint matrices [1, 55, 4, 4].
 
     ``posed`` collects the meshes that have this step's vertices already.
@@ -260,7 +346,7 @@ def _show(renderer: Renderer, person: _Person, joints: Array, camera: Camera, po
     shown = person.light if light else person.full
     for skin in (person.full, person.light):
         if skin:
-            renderer.set_visible([skin.instance], present and skin is shown)
+            renderer.set_visible([skin.instance], present and skin is shown, world=world)
     if present and shown and shown not in posed:
         posed.add(shown)
-        renderer.set_vertices(shown.mesh, person.body.skin(joints, lod=light)[0])
+        renderer.set_vertices(shown.mesh, person.body.skin(joints, lod=light)[0], world=world)

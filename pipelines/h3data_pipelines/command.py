@@ -37,6 +37,10 @@ LightOption = Annotated[
     LightMode,
     tyro.conf.arg(help="Light in pictures: baked, from windows, sun and lamps; or flat, the same everywhere."),
 ]
+BackendOption = Annotated[
+    Literal["auto", "cpu", "gpu"],
+    tyro.conf.arg(help="Who draws: cpu; gpu, whose pictures differ in few pixels; or auto, a GPU if there is one."),
+]
 WalkOption = Literal["paper", "natural"]
 StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
 MissingFlag = Annotated[
@@ -191,6 +195,14 @@ def remove_dataset(root: AnyPath) -> None:
     for name in ("README.md", "card.jpg"):
         if (root / name).is_file():
             (root / name).unlink()
+
+
+def check_backend(backend: BackendOption) -> None:
+    """Raises an InputError where there is no GPU for ``gpu``."""
+    if backend != "cpu":
+        from h3data.replay.stage import chosen_backend
+
+        chosen_backend(backend)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -100,7 +100,9 @@ def export_foxglove(recordings: Iterable[Recording], request: ExportRequest) -> 
     (recording,) = recordings
     replay = Replay(recording, assets=request.assets, people=request.people, detail=False)
     tracks = [camera_track(replay, name) for name in request.cameras]
-    frames = replay.frames(tracks, range(len(recording) if tracks else 0), threads=request.threads)
+    frames = replay.frames(
+        tracks, range(len(recording) if tracks else 0), threads=request.threads, backend=request.backend
+    )
     shown = request.progress(frames, len(recording), "frame") if tracks else frames
     file = write_foxglove(
         recording,

@@ -1,11 +1,13 @@
-"""``h3data demo``: one episode through every room of the house, in one or two minutes, offline."""
+"""``h3data demo``: one episode through every room of the house, offline: metrics at once, then a picture, then videos."""
 
 from __future__ import annotations
 
 import json as jsonlib
+import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,10 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.errors import InputError
-from h3data.progress import progress
+from h3data.progress import is_quiet, progress
 from h3data.recording import Recording
 from h3data.render.light.sources import LightMode
-from h3data.replay import Replay, camera_track
+from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.terminal import counted
 from h3data_pipelines.command import (
     ForceFlag,
     JsonFlag,
@@ -35,9 +38,9 @@ from h3data_pipelines.pictures.rerender import parse_size
 
 if TYPE_CHECKING:
     from h3data.render import Output
-
 FILES = (
     "episode.mcap",
+    "first_picture.png",
     "third_person.mp4",
     "arm_depth.mp4",
     "top_down.mp4",
@@ -45,6 +48,8 @@ FILES = (
     "metrics.json",
     "summary.json",
 )
+FRAME_EVERY = 2
+"""Steps from one frame of the videos to the next: 15 frames/s."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +78,6 @@ class Demo:
 
     def run(self) -> Outcome:
         from h3data.metrics import measure_many
-        from h3data.recording import DatasetWriter
-        from h3data_viewers import write_rrd
 
         if self.steps < 1:
             raise InputError(f"--steps must be at least 1, got {self.steps}.")
@@ -87,19 +90,20 @@ class Demo:
             for name in FILES:
                 (out / name).unlink(missing_ok=True)
         clock = _Clock()
-        # the kernels of people come last: this process needs them early, and compiles them meanwhile
-        with compiled_aside(["pictures", *(["light"] if self.light == "baked" else []), "people"]):
+        with _compiled_aside(self.light):
             with clock.part("simulate"):
                 recording = self._simulate(out / "episode.mcap")
-            with clock.part("dataset"), DatasetWriter(out / "dataset") as writer:
-                writer.add(recording)
             with clock.part("metrics"):
                 table = measure_many([recording])
                 write_text(out / "metrics.json", table.to_json() + "\n")
-            with clock.part("render"):
-                videos = _videos(recording, out, self.light, size)
-        with clock.part("rerun"):
-            write_rrd(recording, out / "episode.rrd", replay=Replay(recording, detail=False), videos=videos)
+            clock.say(f"{counted(len(recording), 'step')} recorded in {out / 'episode.mcap'}:\n{table.to_text()}\n")
+            with clock.part("first picture"):
+                replay = Replay(recording, light=self.light)
+                tracks = _tracks(replay, size)
+                _write_first_picture(replay, tracks["third_person"], out / "first_picture.png")
+            clock.say(f"the first picture: {out / 'first_picture.png'}. Three videos follow.\n")
+            with clock.part("videos, dataset, rerun"):
+                _write_rest(replay, tracks, out)
         summary: dict[str, Any] = {
             "wall_s": round(clock.total, 2),
             "parts_s": {name: round(seconds, 2) for name, seconds in clock.parts.items()},
@@ -110,7 +114,8 @@ class Demo:
         }
         write_text(out / "summary.json", jsonlib.dumps(summary, indent=2) + "\n")
         return Outcome(
-            text=_text(out, summary, table.to_text()), data=summary | {"out": str(out), "metrics": table.to_dict()}
+            text=_text(out, summary, "" if clock.has_said else table.to_text()),
+            data=summary | {"out": str(out), "metrics": table.to_dict()},
         )
 
     def _simulate(self, path: Path) -> Recording:
@@ -137,22 +142,70 @@ class Demo:
         return open_episode(path)  # from the file: what follows uses nothing but the recording
 
 
-def _videos(recording: Recording, out: Path, light: LightMode, size: tuple[int, int] | None) -> dict[str, Path]:
-    """The three videos of the demo, by camera name; ``size`` is that of the third-person view."""
-    replay = Replay(recording, light=light)
-    wanted: dict[str, tuple[str, Output, int]] = {
-        "third_person": ("third_person", "rgb", 1),
-        "arm_depth": ("robot_arm", "depth", 1),
-        "top_down": ("top_down", "rgb", 3),  # a map, on which little changes from one step to the next
-    }
-    for name, (camera, output, stride) in wanted.items():
-        track = camera_track(replay, camera)
-        if size and camera == "third_person":
-            track = track.resized(*size)
-        view = (track, [Target(output, "h264", out / f"{name}.mp4")])
-        steps = range(0, len(recording), stride)
-        render_files(replay, [view], steps=steps, threads=core_count(), samples=4, description=f"render {name}")
-    return {wanted[name][0]: out / f"{name}.mp4" for name in wanted}
+VIDEOS: dict[str, tuple[str, Output]] = {
+    "third_person": ("third_person", "rgb"),
+    "top_down": ("top_down", "rgb"),
+    "arm_depth": ("robot_arm", "depth"),
+}
+"""Camera and output of each video."""
+
+
+@contextmanager
+def _compiled_aside(light: LightMode) -> Iterator[None]:
+    """Compiles kernels in a second process while the block runs, unless those of pictures have been compiled before."""
+    from h3data.kernels import compiled_files
+    from h3data.render.raster.raster import rasterise
+
+    known = any(rasterise.__name__ in Path(file).name for file in compiled_files())
+    # the kernels of people come last: this process needs them early, and compiles them meanwhile
+    parts = ["pictures", *(["light"] if light == "baked" else []), "people"]
+    with nullcontext() if known else compiled_aside(parts):
+        yield
+
+
+def _tracks(replay: Replay, size: tuple[int, int] | None) -> dict[str, CameraTrack]:
+    """The cameras of the videos by the names of these; ``size`` is that of the third-person view."""
+    tracks = {name: camera_track(replay, camera) for name, (camera, _) in VIDEOS.items()}
+    if size:
+        tracks["third_person"] = tracks["third_person"].resized(*size)
+    return tracks
+
+
+def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None:
+    """The frame in the middle of the episode."""
+    from h3data.render import write_png
+
+    stage, middle = replay.stage, len(replay) // 2
+    (view,) = stage.render(stage.renderer(), middle, [track.at(middle)], outputs=("rgb",), samples=4)
+    write_png(path, view["rgb"])
+
+
+def _write_rest(replay: Replay, tracks: dict[str, CameraTrack], out: Path) -> None:
+    """The videos, by all cores, and beside them the dataset and the file for Rerun, which waits for the videos."""
+    videos = {camera: out / f"{name}.mp4" for name, (camera, _) in VIDEOS.items()}
+    rendered: Future[None] = Future()
+    with ThreadPoolExecutor(1, thread_name_prefix="h3data-demo") as pool:
+        beside = pool.submit(_write_beside, replay.recording, out, videos, rendered)
+        try:
+            for name, (_, output) in VIDEOS.items():
+                view = (tracks[name], [Target(output, "h264", out / f"{name}.mp4")])
+                steps = range(0, len(replay), FRAME_EVERY)
+                render_files(replay, [view], steps=steps, threads=core_count(), samples=4, description=f"render {name}")
+        except BaseException as error:
+            rendered.set_exception(error)
+            raise
+        rendered.set_result(None)
+        beside.result()
+
+
+def _write_beside(recording: Recording, out: Path, videos: dict[str, Path], rendered: Future[None]) -> None:
+    from h3data.recording import DatasetWriter
+    from h3data_viewers import write_rrd
+
+    with DatasetWriter(out / "dataset") as writer:
+        writer.add(recording)
+    plain = Replay(recording, detail=False)
+    write_rrd(recording, out / "episode.rrd", replay=plain, videos=videos, videos_ready=rendered.result)
 
 
 @dataclass
@@ -161,12 +214,20 @@ class _Clock:
 
     parts: dict[str, float] = field(default_factory=dict)
     begin: float = field(default_factory=time.perf_counter)
+    has_said: bool = False
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
         self.parts[name] = time.perf_counter() - start
+
+    def say(self, text: str) -> None:
+        """Says on stderr what there is after how long, unless the command is to be quiet."""
+        if not is_quiet() and sys.stderr is not None:
+            self.has_said = True
+            sys.stderr.write(f"After {self.total:.1f} s: {text}")
+            sys.stderr.flush()
 
     @property
     def total(self) -> float:
@@ -184,8 +245,7 @@ def _text(out: Path, summary: dict[str, Any], table: str) -> str:
         f"in {summary['wall_s']} s. In {out}:",
         *(f"  {name:<18} {size / 1e6:8.2f} MB" for name, size in summary["files"].items()),
         "",
-        table,
-        "",
+        *([table, ""] if table else []),
         f"Look: open {out}/third_person.mp4 in a browser, or: rerun {out}/episode.rrd",
     ]
     return "\n".join(lines)

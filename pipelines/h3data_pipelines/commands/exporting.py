@@ -19,11 +19,13 @@ from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import place
 from h3data_pipelines.command import (
+    BackendOption,
     ForceFlag,
     JsonFlag,
     NameOf,
     Outcome,
     PeopleOption,
+    check_backend,
     claim_file,
     claim_folder,
     open_episode,
@@ -74,6 +76,7 @@ class Export:
     camera: tuple[str, ...] = ()
     """Camera to add as a video, for foxglove and lerobot: a name as in rerender, or a .toml or .json file; repeatable.
     lerobot copies the videos that a dataset has, and renders others (default: all that the dataset has)."""
+    backend: BackendOption = "cpu"
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -82,6 +85,9 @@ class Export:
         if self.light:
             log.warning("--light of h3data export is deprecated and will be removed. Use --person-detail low.")
         detail = "low" if self.light else self.person_detail
+        if self.backend != "cpu" and "camera" not in form.write_options:
+            raise InputError(f"--backend is not for {form.option}, but for {_formats_with('camera')}. Leave it out.")
+        check_backend(self.backend)
         given = {option: getattr(self, option) for option in ("agent", "assets", "people", "camera")}
         for option, value in {**given, "person_detail": detail}.items():
             if value not in (None, (), "skin", "full") and option not in form.write_options:
@@ -108,6 +114,7 @@ class Export:
             stored_cameras=common_cameras(sources) if "camera" in form.write_options else (),
             stored_videos=lambda number: sources[number].read_videos(),
             threads=core_count(),
+            backend=self.backend,
             progress=_progress,
         )
         try:

@@ -19,6 +19,7 @@ from h3data.scene.scene_sets import find_scene_set
 from h3data.terminal import counted
 from h3data_pipelines.command import (
     AssetsOption,
+    BackendOption,
     DryRunFlag,
     ForceFlag,
     JsonFlag,
@@ -28,6 +29,7 @@ from h3data_pipelines.command import (
     PeopleOption,
     ShareScenesFlag,
     WalkOption,
+    check_backend,
     claim_folder,
     keeping,
     remove_dataset,
@@ -157,6 +159,7 @@ class Generate:
     people: PeopleOption = "skin"
     light: LightOption = "baked"
     """Of the videos. Policies that see colours are shown the light that they have learned in."""
+    backend: BackendOption = "cpu"
     workers: int = 1
     """Processes."""
     executor: ExecutorOption = "local"
@@ -177,6 +180,8 @@ class Generate:
             raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
         if self.share_scenes and not self.mcap:
             raise InputError("--share-scenes is for logs (--mcap): a dataset stores each scene once anyway.")
+        if self.camera and self.executor == "local":
+            check_backend(self.backend)
         out = place(self.out)
         if self.save_episodes is not None:
             claim_episode_file(self.save_episodes, force=self.force or self.resume)
@@ -260,7 +265,9 @@ class Generate:
         waiting: list[Filmed] = []
         uncommitted, failures = 0, 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
-        filming = Filming(self.camera, threads=executor.threads, people=self.people, light=self.light)
+        filming = Filming(
+            self.camera, threads=executor.threads, people=self.people, light=self.light, backend=self.backend
+        )
         with bar, closing(film_jobs(jobs, filming=filming, executor=executor)) as results:
             for filmed in results:
                 waiting.append(filmed)

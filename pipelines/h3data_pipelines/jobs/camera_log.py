@@ -23,10 +23,12 @@ from h3data_pipelines.outputs import Target
 class CameraLog:
     """The file of one recording in one folder; missing or of an earlier run."""
 
-    def __init__(self, folder: Path, stem: str, replay: Replay, steps: range, *, samples: int = 1) -> None:
+    def __init__(
+        self, folder: Path, stem: str, replay: Replay, steps: range, *, samples: int = 1, backend: str = "cpu"
+    ) -> None:
         self.path = folder / f"{stem}.cameras.json"
         self._folder, self._stem, self._replay, self._steps = folder, stem, replay, steps
-        self._samples = samples
+        self._samples, self._backend = samples, backend
         self._recording = _digest_of_recording(replay)
         self._cameras: dict[str, Any] = {}
         if self.path.exists():
@@ -42,6 +44,7 @@ class CameraLog:
         things += [] if self._replay.people == "skin" else [self._replay.people]
         things += [self._replay.light] if target.output == "rgb" and self._replay.light != "flat" else []
         things += [f"{self._samples} samples"] if target.output == "rgb" and self._samples > 1 else []
+        things += [] if self._backend == "cpu" else [self._backend]
         poses = np.ascontiguousarray(track.poses, np.float64).tobytes()
         nears = b"" if track.nears is None else np.ascontiguousarray(track.nears, np.float64).tobytes()
         return hashlib.blake2b("\n".join(things).encode() + poses + nears, digest_size=16).hexdigest()

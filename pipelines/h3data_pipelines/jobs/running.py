@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import InputError
@@ -53,6 +53,7 @@ class Filming:
     """Threads that render, in each process."""
     people: PeopleStyle = "skin"
     light: LightMode = "baked"
+    backend: Literal["auto", "cpu", "gpu"] = "cpu"
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ def film_job(job: Job, filming: Filming) -> Filmed:
                 threads=filming.threads,
                 people=filming.people,
                 light=filming.light,
+                backend=filming.backend,
             )
         except InputError as error:
             raise InputError(f"Episode {job.index}: {error}") from None

@@ -16,6 +16,7 @@ from h3data_pipelines.outputs import Target, ToPicture
 
 if TYPE_CHECKING:
     from h3data.render import Output
+    from h3data.replay.stage import FrameBackend
 
 ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
 TRAJECTORY_STRIDE = 6
@@ -32,6 +33,7 @@ def render_files(
     annotate: bool = True,
     samples: Literal[1, 4] = 1,
     description: str = "render",
+    backend: FrameBackend = "cpu",
 ) -> None:
     """Renders ``steps`` from every camera into its targets.
 
@@ -54,8 +56,9 @@ def render_files(
             return [sink.prepare(pictures[n][output], step) for n, output, sink in sinks]
 
         frames = replay.stage.frames(
-            [track for track, _ in views], steps, outputs=outputs, samples=samples, threads=threads, then=prepare
-        )
+            [track for track, _ in views], steps, outputs=outputs, samples=samples, threads=threads, then=prepare,
+            backend=backend,
+        )  # fmt: skip
         for _, prepared in progress(frames, total=len(steps), desc=description, unit="frame"):
             for encoder, frame in zip(encoders, prepared, strict=True):
                 encoder.submit(frame)

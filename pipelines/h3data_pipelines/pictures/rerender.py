@@ -23,12 +23,14 @@ from h3data.recording.storage import local, place
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.terminal import counted
 from h3data_pipelines.command import (
+    BackendOption,
     DryRunFlag,
     ForceFlag,
     JsonFlag,
     LightOption,
     Outcome,
     PeopleOption,
+    check_backend,
     keeping,
     open_episode,
 )
@@ -94,6 +96,7 @@ class Rerender:
     """Samples of colour per pixel: 4 smooths edges (default: 4 for mp4 and av1, 1 for png and data)."""
     people: PeopleOption = "skin"
     light: LightOption = "baked"
+    backend: BackendOption = "cpu"
     workers: int | None = None
     """Number of render threads (default: one per core), or of Ray's workers, each for a recording."""
     executor: ExecutorOption = "local"
@@ -107,6 +110,8 @@ class Rerender:
         local(self.out)
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap).")
+        if self.executor == "local" and not self.dry_run:  # elsewhere, each worker looks for itself
+            check_backend(self.backend)
         check_workers(self.executor, self.workers)
         shards = _shards(self.recordings)
         twice = [name for name, times in Counter(str(s.below / s.stem) for s in shards).items() if times > 1]
@@ -165,7 +170,10 @@ class Rerender:
             return [f"would write {file}, {counted(len(steps), 'frame')}" for file in files] + missing_lines(
                 replay
             ), row
-        log = CameraLog(self.out, stem, replay, steps, samples=self._samples)
+        from h3data.replay.stage import chosen_backend
+
+        drawn_by = chosen_backend(self.backend)
+        log = CameraLog(self.out, stem, replay, steps, samples=self._samples, backend=drawn_by)
         views = [
             (track, [Target.named(self.out, stem, track.camera.name, output, self.format) for output in outputs])
             for track in tracks
@@ -185,6 +193,7 @@ class Rerender:
                         threads=self.workers or core_count(),
                         samples=self._samples,
                         description=f"{counter}{stem} {track.camera.name}",
+                        backend=drawn_by,
                     )
                     log.add(track, targets, fps=frames_per_second(replay, steps))
         rendered = {t.path for _, targets in pending for t in targets}

@@ -9,7 +9,7 @@ ones), ``world/<agent>/...`` (parts of an agent, relative to its root frame: onl
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,6 +60,7 @@ def write_rrd(
     replay: PosedScene | None = None,
     cameras: Sequence[CameraFeed] = (),
     videos: Mapping[str, Path] | None = None,
+    videos_ready: Callable[[], object] | None = None,
     images: ImageStorage = "stills",
     skin_every: int = SKIN_EVERY,
     overwrite: bool = False,
@@ -72,6 +73,7 @@ def write_rrd(
         replay: meshes and poses, as in `ShownRecording`.
         cameras: cameras to show.
         videos: MP4 files of cameras of the replay, as in `ShownRecording`.
+        videos_ready: called before they are read; it may wait until they are complete, while all else is written here.
         images: storage of camera videos, see `h3data_viewers.rerun.cameras.log_camera`.
         skin_every: steps between samples of skinned bodies, which move rigidly with their agent in between. A larger
             interval is chosen where the file would otherwise become too large.
@@ -82,7 +84,8 @@ def write_rrd(
         MissingExtraError: rerun-sdk is not installed.
     """
     shown = ShownRecording(recording=recording, replay=replay, cameras=cameras, videos=videos or {})
-    return _write_file([shown], Path(path), images=images, skin_every=skin_every, overwrite=overwrite)
+    path, ready = Path(path), videos_ready
+    return _write_file([shown], path, images=images, skin_every=skin_every, overwrite=overwrite, ready=ready)
 
 
 def write_comparison_rrd(
@@ -115,7 +118,13 @@ def write_comparison_rrd(
 
 
 def _write_file(
-    sides: Sequence[ShownRecording], path: Path, *, images: ImageStorage, skin_every: int, overwrite: bool
+    sides: Sequence[ShownRecording],
+    path: Path,
+    *,
+    images: ImageStorage,
+    skin_every: int,
+    overwrite: bool,
+    ready: Callable[[], object] | None = None,
 ) -> Path:
     if path.exists() and not overwrite:
         raise InputError(f"The file already exists; choose another name or pass overwrite=True: {path}")
@@ -124,7 +133,7 @@ def _write_file(
     # Rerun's own file sink reports a full disk in its log only, and the file would be cut
     encoded = stream.binary_stream()
     try:
-        _log(stream, sides, images=images, skin_every=skin_every)
+        _log(stream, sides, images=images, skin_every=skin_every, ready=ready)
     finally:
         content = encoded.read()  # unread data would be reported as dropped
         stream.disconnect()
@@ -156,12 +165,17 @@ def _stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
     return rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
 
 
-def _log(stream: rr.RecordingStream, sides: Sequence[ShownRecording], *, images: ImageStorage, skin_every: int) -> None:
+def _log(
+    stream: rr.RecordingStream,
+    sides: Sequence[ShownRecording],
+    *,
+    images: ImageStorage,
+    skin_every: int,
+    ready: Callable[[], object] | None = None,
+) -> None:
     feeds = [[*side.cameras, *_named_cameras(side)] for side in sides]
-    videos = [(feed.camera.name, feed.video) for group in feeds for feed in group if feed.video is not None]
-    missing = [f"{name}: {video}" for name, video in videos if not video.is_file()]
-    if missing:
-        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.")
+    if ready is None:
+        _check_videos(feeds)
     labels = LABELS if len(sides) > 1 else ("",)
     longest = max(sides, key=lambda side: len(side.recording))
     _log_properties(stream, sides)
@@ -173,7 +187,8 @@ def _log(stream: rr.RecordingStream, sides: Sequence[ShownRecording], *, images:
     stream.send_blueprint(layout(logged, timeline=_timeline(sides)))
     held.release(stream)
     for side, label, group in zip(sides, labels, feeds, strict=True):
-        _log_world(side, Sink(stream, side.recording.columns["time_ns"], label), group, images, skin_every)
+        sink = Sink(stream, side.recording.columns["time_ns"], label)
+        _log_world(side, sink, group, images, skin_every, ready=ready)
 
 
 def _log_curves(shown: ShownRecording, sink: Sink, cameras: Sequence[CameraFeed], *, bounds: bool) -> LoggedRecording:
@@ -197,7 +212,13 @@ def _log_curves(shown: ShownRecording, sink: Sink, cameras: Sequence[CameraFeed]
 
 
 def _log_world(
-    shown: ShownRecording, sink: Sink, cameras: Sequence[CameraFeed], images: ImageStorage, skin_every: int
+    shown: ShownRecording,
+    sink: Sink,
+    cameras: Sequence[CameraFeed],
+    images: ImageStorage,
+    skin_every: int,
+    *,
+    ready: Callable[[], object] | None,
 ) -> None:
     import rerun as rr
 
@@ -205,13 +226,23 @@ def _log_world(
     share = 0.5 if sink.label else 1.0
     sink.static("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
     log_agents(sink, recording, {d.agent for d in replay.drawables} if replay is not None else set())
-    for feed in cameras:
-        log_camera(sink, feed, images=images)
     if replay is not None:
         log_rigid(sink, recording, replay, share=share)
         log_skins(sink, recording, replay, skin_every, share=share)
     log_free_space(sink, recording, replay.scene if isinstance(replay, Replay) else None)
     log_goals(sink, recording)
+    if ready is not None:
+        ready()
+        _check_videos([cameras])
+    for feed in cameras:
+        log_camera(sink, feed, images=images)
+
+
+def _check_videos(feeds: Sequence[Sequence[CameraFeed]]) -> None:
+    videos = [(feed.camera.name, feed.video) for group in feeds for feed in group if feed.video is not None]
+    missing = [f"{name}: {video}" for name, video in videos if not video.is_file()]
+    if missing:
+        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.")
 
 
 def _title(shown: ShownRecording) -> str:

@@ -1,0 +1,130 @@
+"""Frames of recordings by a GPU: 32 steps at once, each in a world of its own, and the pictures of the CPU.
+
+On a GPU: ``python -m pytest -q -m gpu tests/replay/test_frame_backends.py -s`` (the last line says how fast it is).
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.recording import Recording, write_mcap
+from h3data.render import Output
+from h3data.render.renderer import gpu_fault
+from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.replay import stage as stage_module
+from h3data.scene import HomeSpec, build_home
+from h3data_pipelines.cli import main
+from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
+from tests.simulated import simulate_social_nav, social_nav_episode
+
+OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "instance")
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    spec = SocialNavSpec(max_steps=70, human=HOME_WALKER)
+    return simulate_social_nav(social_nav_episode(build_home(HomeSpec(preset="small", seed=2)), seed=2, spec=spec))
+
+
+def frames(
+    replay: Replay, tracks: list[CameraTrack], steps: range, backend: Any, samples: Literal[1, 4] = 1
+) -> list[tuple[int, Any]]:
+    options: Any = {"outputs": OUTPUTS, "samples": samples, "threads": 2, "backend": backend}
+    return list(replay.stage.frames(tracks, steps, **options))
+
+
+def test_steps_in_worlds_are_steps_one_by_one(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    replay = Replay(recording, light="baked")
+    tracks = [camera_track(replay, name).resized(72, 56) for name in ("third_person", "top_down_orthographic")]
+    one_by_one = frames(replay, tracks, range(0, 70, 5), "cpu")
+    monkeypatch.setattr(stage_module, "chosen_backend", lambda _: "gpu")
+    monkeypatch.setattr(stage_module, "WORLDS", 4)
+    renderers: list[dict[str, Any]] = []
+    renderer = stage_module.Stage.renderer
+
+    def on_the_cpu(stage: Any, backend: Any = "cpu", **options: Any) -> Any:
+        renderers.append({"backend": backend, **options})
+        return renderer(stage, "cpu", **options)
+
+    monkeypatch.setattr(stage_module.Stage, "renderer", on_the_cpu)
+    at_once = frames(replay, tracks, range(0, 70, 5), "gpu")
+    assert renderers == [{"backend": "auto", "worlds": 4}]
+    assert [step for step, _ in at_once] == [step for step, _ in one_by_one] == list(range(0, 70, 5))
+    for (step, got), (_, want) in zip(at_once, one_by_one, strict=True):
+        for one, other in zip(got, want, strict=True):
+            for name in OUTPUTS:
+                np.testing.assert_array_equal(one[name], other[name], err_msg=f"{name} of step {step}")
+
+
+@pytest.mark.skipif(not gpu_fault(), reason="there is a GPU")
+def test_without_a_gpu_it_is_refused_in_one_sentence(
+    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(InputError, match="There is no GPU to draw with"):
+        stage_module.chosen_backend("gpu")
+    with pytest.raises(InputError, match="Unknown back end"):
+        stage_module.chosen_backend("rays")  # type: ignore[arg-type]
+    assert stage_module.chosen_backend("auto") == "cpu"
+    file = tmp_path / "walk.mcap"
+    write_mcap(recording, file)
+    for words in (
+        ["rerender", file, "-o", tmp_path / "out"],
+        ["export", file, "--to", "lerobot", "--camera", "top_down", "-o", tmp_path / "lerobot"],
+        ["generate", "wander", "--episodes", "1", "--camera", "top_down", "-o", tmp_path / "ds"],
+    ):
+        assert main([*map(str, words), "--backend", "gpu", "--json"]) == 2
+        assert "There is no GPU to draw with" in json.loads(capsys.readouterr().out)["error"]
+    assert [path.name for path in tmp_path.iterdir()] == ["walk.mcap"]
+
+
+def apart(got: NDArray[Any], want: NDArray[Any]) -> NDArray[np.float64]:
+    return np.abs(got.astype(np.float64) - want.astype(np.float64))
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(bool(gpu_fault()), reason="there is no GPU")
+@pytest.mark.parametrize("samples", [1, 4])
+def test_a_gpu_draws_the_frames_of_the_cpu(recording: Recording, samples: Literal[1, 4], tmp_path: Path) -> None:
+    """docs/gpu.md: depth within 1e-4 m and equal ids on 99.99 % of the pixels off silhouettes, 0.8 % of RGB apart."""
+    replay = Replay(recording, light="baked")
+    tracks = [camera_track(replay, name).resized(320, 240) for name in ("third_person", "top_down", "human_head")]
+    by_cpu = frames(replay, tracks, range(0, 70, 2), "cpu", samples)
+    by_gpu = frames(replay, tracks, range(0, 70, 2), "gpu", samples)
+    again = frames(replay, tracks, range(0, 70, 2), "gpu", samples)
+    inside = odd = 0
+    for (step, got), (same, want), (_, repeated) in zip(by_gpu, by_cpu, again, strict=True):
+        assert step == same
+        for one, other, third in zip(got, want, repeated, strict=True):
+            for name in OUTPUTS:
+                assert one[name].dtype == other[name].dtype
+                assert one[name].shape == other[name].shape
+                np.testing.assert_array_equal(one[name], third[name], err_msg=f"{name} differs between two runs")
+            ids, depth = other["instance"], other["depth"]
+            around = np.lib.stride_tricks.sliding_window_view(np.pad(ids, 1, mode="edge"), (3, 3))
+            near = np.lib.stride_tricks.sliding_window_view(np.pad(depth, 1, mode="edge"), (3, 3))
+            off = (around == ids[..., None, None]).all((2, 3)) & (near.max((2, 3)) < 1.2 * near.min((2, 3)) + 1e-3)
+            inside += int(off.sum())
+            odd += int((off & ((one["instance"] != ids) | (apart(one["depth"], depth) > 1e-4))).sum())
+            assert (apart(one["rgb"], other["rgb"]).max(-1) > 3)[off].mean() < 0.008, step
+    assert odd < 1e-4 * inside
+    file = tmp_path / "walk.mcap"
+    write_mcap(recording, file)
+    data = ("--outputs", "rgb,depth,instance", "--format", "data", "--samples", str(samples), "--size", "640x480")
+    assert (
+        main(["rerender", str(file), "--camera", "third_person", "--backend", "gpu", *data, "-o", str(tmp_path)]) == 0
+    )
+    start = time.perf_counter()
+    steps = range(len(replay))
+    for _ in replay.stage.frames(
+        [camera_track(replay, "third_person").resized(640, 480)], steps, outputs=OUTPUTS, samples=samples, backend="gpu"
+    ):
+        pass
+    print(f"\n{len(steps) / (time.perf_counter() - start):.0f} frames/s of 640x480 by the GPU, {samples} samples")
