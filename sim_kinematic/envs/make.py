@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from sim_kinematic.envs.recipe import EnvRecipe
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.sources import Scenes
@@ -109,9 +109,7 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
     known += [*shared, *task.env_options, "num_envs", "device", "render_mode"]
     for name in options:
         if name not in known:
-            raise InputError(
-                f"Unknown option {name!r} of {task.name}.{did_you_mean(name, known)} Expected some of: {', '.join(known)}."
-            )
+            raise InputError(f"Unknown option {name!r} of {task.name}.{suggest(name, known, lead='Expected some of')}")
 
 
 def _on_device(

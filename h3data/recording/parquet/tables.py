@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from h3data.errors import InputError, MissingExtraError, did_you_mean
+from h3data.errors import InputError, MissingExtraError, suggest
 from h3data.recording.parquet.files import shard_path
 from h3data.recording.parquet.folder import DatasetFolder
 from h3data.recording.parquet.schema import SIDECARS, STANDARD, arrow_rows, data_schema, record_schema
@@ -85,7 +85,7 @@ def table_schema(dataset: DatasetFolder, columns: Sequence[str] | None = None) -
     unknown = sorted(set(columns or ()) - set(kinds))
     if unknown:
         raise InputError(
-            f"No columns {unknown} in this dataset.{did_you_mean(unknown[0], kinds)} It has: {', '.join(kinds)}: {dataset.root}"
+            f"No columns {unknown} in this dataset.{suggest(unknown[0], kinds, lead='It has')} Dataset: {dataset.root}"
         )
     names = dict.fromkeys(kinds if columns is None else columns)
     return pa.schema([pa.field(name, arrow_rows(*kinds[name])) for name in names])
