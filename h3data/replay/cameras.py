@@ -35,7 +35,7 @@ def camera_names(replay: Replay) -> list[str]:
 
 
 def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
-    """The camera with a name (`camera_names`), or the one described in a TOML or JSON file (docs/cameras.md).
+    """The camera with a name (`camera_names`), or the one described in a TOML or JSON file (h3data docs cameras).
 
     ``agent/name`` selects the camera of one agent if several have a camera of that name.
 

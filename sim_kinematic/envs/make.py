@@ -89,7 +89,8 @@ def _make(
             many = stepper_class(found, scenes, worlds=num_envs, **given)
         else:
             many = ManySteppers(lambda: stepper_class(found, scenes, **given), num_envs)
-        return TaskVectorEnv(FlatStepper(many) if flatten else many, render_mode=render_mode)
+        many = FlatStepper(many) if flatten else many
+        return TaskVectorEnv(many, render_mode=render_mode)
     stepper: Any = stepper_class(found, scenes, **given)
     stepper = FlatStepper(stepper) if flatten else stepper
     if len(agents) > 1:

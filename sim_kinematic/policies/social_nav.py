@@ -242,7 +242,7 @@ def random(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def learned_follower(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The weights that come with the package: what ``examples/train_social_nav.py`` learned (docs/learned-policies.md)."""
+    """The weights that come with the package: what ``examples/train_social_nav.py`` learned (h3data docs learned-policies)."""
     return _follower()(view, spec)
 
 

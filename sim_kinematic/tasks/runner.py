@@ -165,7 +165,7 @@ class Session:
     recording = session.close()
     ```
 
-    docs/sessions.md lists the commands of each task.
+    h3data docs sessions lists the commands of each task.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """A Parquet dataset as tables: Arrow, polars, pandas, torch; and as a lazy Arrow dataset for query engines.
 
 A table has one row per step, like the files: arrays are flattened in C order to fixed-size lists of the declared width,
-narrower episodes are padded (docs/format.md). Vectors are not split into columns.
+narrower episodes are padded (h3data docs format). Vectors are not split into columns.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class Sql:
 
     By DuckDB: pip install "h3data[sql]". Reads only what the query needs, writes nothing.
 
-    Views (the columns of a dataset: h3data sql "describe steps" ds/; all of them: docs/queries.md):
+    Views (the columns of a dataset: h3data sql "describe steps" ds/; all of them: h3data docs queries):
         steps      one row per step. Names with a dot need quotes: "agent_0.action"[1]; lists count from 1.
                    Shorter: agent_0_x, _y, _z, _heading; dist_agents for "metrics.dist_agents"; seconds.
         episodes   one row per episode: task, scene, seed, policy, partner, length, seconds, info and the metrics S, SPS, ...

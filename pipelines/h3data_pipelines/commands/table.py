@@ -28,6 +28,7 @@ from h3data_pipelines.learning.training import Train
 from h3data_pipelines.machine.bench import Bench
 from h3data_pipelines.machine.completion import Completion
 from h3data_pipelines.machine.doctor import Doctor
+from h3data_pipelines.machine.pages import Docs
 from h3data_pipelines.machine.planning import Plan
 from h3data_pipelines.machine.warmup import Warmup
 from h3data_pipelines.pictures.report import ReportCommand
@@ -62,6 +63,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "sync": Sync,
     "validate": Validate,
     "recover": Recover,
+    "docs": Docs,
     "doctor": Doctor,
     "warmup": Warmup,
     "bench": Bench,
