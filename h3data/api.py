@@ -177,7 +177,7 @@ def make(task: Any, *args: Any, **options: Any) -> Any:
     """Makes a training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)``.
 
     One world is a Gymnasium environment, ``num_envs`` worlds a vector environment, several ``agents`` a PettingZoo
-    environment, a ``device`` worlds as torch tensors (docs/environments.md). Arguments are those of
+    environment, a ``device`` worlds as torch tensors (h3data docs environments). Arguments are those of
     `sim_kinematic.envs.make.make`; tasks of installed packages are found by entry points of the group ``h3data.tasks``
     and by ``module:Class``.
 

@@ -23,6 +23,21 @@ def builtin_root() -> Path:
     )
 
 
+def pages_root() -> Path:
+    """Folder of the documentation's pages: `docs/` in a checkout, `h3data/_docs` in an installed wheel.
+
+    Raises:
+        InputError: the installation is incomplete.
+    """
+    package = Path(__file__).resolve().parent
+    for candidate in (package / "_docs", package.parent / "docs"):
+        if candidate.is_dir():
+            return candidate
+    raise InputError(
+        f"The pages of the documentation are missing: expected a folder _docs beside {package}/__init__.py."
+    )
+
+
 def builtin_path(relative: str) -> Path:
     """Path of one shipped file, e.g. ``builtin_path("bodies/female_0.npz")``.
 

@@ -6,7 +6,7 @@ import h3data.envs
 
 gymnasium.make("h3data/SocialNav-v0", scenes="small:1")
 gymnasium.make_vec("h3data/SocialNav-v0", num_envs=64)
-gymnasium.make("h3data.envs:h3data/Rearrange-v0")  # imports the module by itself
+gymnasium.make("h3data.envs:h3data/Rearrange-v0")  # without any other import: Gymnasium imports the module
 ```
 
 Keyword arguments are those of `h3data.make`. Gymnasium 1.0 dropped entry points for plug-ins, so that a package has to register

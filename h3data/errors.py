@@ -44,3 +44,9 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     by_lower = {other.lower(): other for other in valid}
     closest = get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
     return f" Did you mean {by_lower[closest[0]]!r}?" if closest else ""
+
+
+def suggest(name: str, valid: Iterable[str], *, lead: str = "Expected one of", more: str = "") -> str:
+    """`` Did you mean 'x'?`` alone if a valid name is close to an unknown one, else `` Expected one of: a, b<more>.``"""
+    valid = list(valid)
+    return did_you_mean(name, valid) or f" {lead}: {', '.join(valid) or 'none'}{more}."

@@ -24,7 +24,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from h3data.errors import H3DataError, InputError, PluginError, UntrustedNameError, did_you_mean
+from h3data.errors import H3DataError, InputError, PluginError, UntrustedNameError, suggest
 
 T = TypeVar("T")
 
@@ -202,9 +202,7 @@ class Registry(Generic[T]):
                 sys.path.append(os.getcwd())  # only now, after everything that is installed: see docs/sharing.md
             return self._load(Plugin(name, name))
         known = self.names()
-        raise InputError(
-            f"Unknown {self.what} {name!r}.{did_you_mean(name, known)} Expected one of: {', '.join(known)}; or module:name."
-        )
+        raise InputError(f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}")
 
     def load_all(self) -> dict[str, T]:
         """Returns every object by name; warns about plug-ins that cannot be loaded and leaves them out."""

@@ -34,7 +34,7 @@ def write_lerobot(
 ) -> int:
     """Write a dataset of transitions (`transitions_of`) into a folder; returns the number of episodes.
 
-    Beside the columns of the recording, which stay as they are (docs/format.md) but for ``sim.*`` and ``state_hash`` (the
+    Beside the columns of the recording, which stay as they are (h3data docs format) but for ``sim.*`` and ``state_hash`` (the
     simulator's own, and LeRobot's loader fails on unsigned 64-bit numbers), each frame has ``observation.state``
     (the agent's base pose, joints, ...), ``action`` (what it did in that state), ``next.reward``, ``next.done`` and
     ``next.success``. Rows without an action after them, the last of each episode, are left out.

@@ -1,7 +1,7 @@
 """File formats: what a file is, judged by its content; what reads it as a recording; what writes recordings in it.
 
 One table (`h3data.formats.builtin_formats`) lists the built-in formats. Installed packages add theirs by entry points of
-the group ``h3data.formats``, each of which is a `Format` (docs/import.md). Readers and writers are imported at first use.
+the group ``h3data.formats``, each of which is a `Format` (h3data docs import). Readers and writers are imported at first use.
 """
 
 from __future__ import annotations

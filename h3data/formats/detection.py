@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from h3data.errors import FormatError, H3DataError, InputError, PluginError, did_you_mean
+from h3data.errors import FormatError, H3DataError, InputError, PluginError, suggest
 from h3data.formats.builtin_formats import BUILT_IN, JSON, UNKNOWN
 from h3data.formats.format import Format
 from h3data.formats.source_file import BYTE_ORDER_MARK, SourceFile, decode_json
@@ -173,6 +173,4 @@ def export_format(name: str) -> Format:
     if chosen is not None and chosen.write is not None:
         return chosen
     options = export_options()
-    raise InputError(
-        f"Cannot export to {name!r}.{did_you_mean(name, options)} Expected one of: {', '.join(options)}; or module:name."
-    )
+    raise InputError(f"Cannot export to {name!r}.{suggest(name, options, more='; or module:name')}")

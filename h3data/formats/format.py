@@ -46,7 +46,7 @@ class Format:
     write_options: tuple[Literal["agent", "assets", "person_detail", "people", "camera"], ...] = ()
     """Options of `h3data export` that apply; the others are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
-    """What is written. A dataset is a folder as in docs/format.md, which ``--force`` replaces."""
+    """What is written. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
     many: bool = False
     """Whether one output holds many recordings."""
 

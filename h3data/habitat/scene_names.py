@@ -104,17 +104,18 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
     label, _, which = text.partition("#")
     found = find_scene_set(label)
     splits = [f"{name}/{split}" for name, of in builtin_sets().items() for split in of]
-    near = did_you_mean(text, (*HOME_NAMES, *splits))
+    near = did_you_mean(preset if seed else text, (*HOME_NAMES, *splits))
+    near = near.replace("'?", f":{seed}'?") if seed else near
     if found is None and ("/" in label or label.endswith((".glb", ".json", ".urdf"))) and not Path(label).exists():
         raise InputError(
             f"There is no such scene or set of scenes.{near} Hint: `h3data scenes list` shows the sets. Path: {text}"
         )
     if found is None:
         raise InputError(
-            f"Unknown scenes {text!r}.{near} Expected {', '.join(HOME_NAMES)}, one home as small:3, a set "
-            f"({', '.join(splits)} or a .toml file), one of a set as h3-homes/test#3, or the path of a scene (.glb, "
-            ".scene_instance.json, .stage_config.json, .object_config.json, .ao_config.json, .urdf, "
-            ".scene_dataset_config.json)."
+            f"Unknown scenes {text!r}.{near} Hint: `h3data scenes list` shows homes and sets."
+            if near
+            else f"Unknown scenes {text!r}. Expected homes (small), one of them (small:3), a set (h3-homes/test), one of its "
+            "scenes (h3-homes/test#3), or the path of a scene or set. Hint: `h3data scenes list` shows all names."
         )
     every = [NamedScene(name=f"{label}#{k}", source=entry.source, id=entry.id) for k, entry in enumerate(found.scenes)]
     return (every[found.scenes.index(found.entry(which))],) if "#" in text else tuple(every)

@@ -131,7 +131,7 @@ def find_metric(name: str, *, profile: str | None = None) -> Metric:
             if test(metric):
                 return metric
     near = did_you_mean(name, [m.name for m in every] + [m.id.rpartition("@")[0] for m in every])
-    raise InputError(f"No metric {name!r}.{near} `h3data metrics list` shows all: {', '.join(m.id for m in every)}.")
+    raise InputError(f"No metric {name!r}.{near} `h3data metrics list` shows all.")
 
 
 def all_metrics() -> list[Metric]:

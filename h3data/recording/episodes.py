@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
-from h3data.errors import H3DataError, InputError, did_you_mean
+from h3data.errors import H3DataError, InputError, suggest
 from h3data.recording.records import Recording, notebook
 from h3data.recording.storage import AnyPath, RemotePath
 
@@ -156,9 +156,7 @@ class Episodes(Sequence[Recording]):
         for name in equal:
             known = sorted(set().union(*facts))
             if facts and name not in known:
-                raise InputError(
-                    f"No episode has a {name!r}.{did_you_mean(name, known)} They have: {', '.join(known)}."
-                )
+                raise InputError(f"No episode has a {name!r}.{suggest(name, known, lead='They have')}")
         chosen = (
             stored
             for stored, of in zip(self.stored, facts, strict=True)

@@ -42,7 +42,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import FormatError
+from h3data.errors import FormatError, InputError, suggest
 
 SCHEMA_VERSION = "1.7"
 """Additive changes raise the second number; readers refuse a newer first number."""
@@ -190,6 +190,19 @@ class Episode:
         return "lerobot" in self.info
 
 
+class Columns(dict[str, NDArray[Any]]):
+    """Columns by name. The `KeyError` of an unknown one says what was meant."""
+
+    def __missing__(self, name: object) -> NDArray[Any]:
+        raise UnknownColumnError(f"No column {name!r} in this recording.{suggest(str(name), self, lead='It has')}")
+
+
+class UnknownColumnError(InputError, KeyError):
+    """A recording has no such column."""
+
+    __str__ = Exception.__str__  # a KeyError would quote the sentence
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
     """One episode. Immutable by convention; `h3data.open` reads one from a file."""
@@ -212,6 +225,8 @@ class Recording:
             raise FormatError(
                 f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + "."
             )
+        if type(self.columns) is dict:
+            object.__setattr__(self, "columns", Columns(self.columns))
         _keep_walks(self.attachments)
 
     def __len__(self) -> int:
@@ -229,11 +244,8 @@ class Recording:
         return tuple(sorted((b for b in self.bodies if b.moving >= 0), key=lambda b: b.moving))
 
     def agent_column(self, agent: int, name: str) -> NDArray[Any]:
-        """Column ``agent_<agent>.<name>``; a `KeyError` lists the columns if there is none."""
-        key = f"agent_{agent}.{name}"
-        if key not in self.columns:
-            raise KeyError(f"no column {key!r}; this recording has {', '.join(self.columns)}")
-        return self.columns[key]
+        """Column ``agent_<agent>.<name>``; an `UnknownColumnError`, which is a `KeyError`, if there is none."""
+        return self.columns[f"agent_{agent}.{name}"]
 
     def show(self, viewer: Literal["rerun", "video"] | None = None, **options: Any) -> Any:
         """Returns a Rerun viewer or a video of the recording that a notebook displays: `h3data_viewers.notebook.show`."""

@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from numpy.typing import NDArray
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 from h3data.recording.schema import Layout
 
@@ -40,9 +40,7 @@ class Steps(ABC):
         names = [c.name for c in self.layout]
         unknown = sorted(set(columns or ()) - set(names))
         if unknown:
-            raise InputError(
-                f"No columns {unknown} in this recording.{did_you_mean(unknown[0], names)} It has: {', '.join(names)}."
-            )
+            raise InputError(f"No columns {unknown} in this recording.{suggest(unknown[0], names, lead='It has')}")
         return self._rows(start, stop, names if columns is None else [n for n in names if n in set(columns)])
 
     def __getitem__(self, step: int) -> dict[str, NDArray[Any]]:

@@ -1,7 +1,7 @@
 """Files and folders by path or URI: a local one is a `pathlib.Path`, any other a `RemotePath` on pyarrow.fs.
 
 An object store has neither rename nor append, so nothing is written there piece by piece: files are made locally and
-uploaded whole. A dataset's episode table goes last; its presence commits the shard (docs/format.md).
+uploaded whole. A dataset's episode table goes last; its presence commits the shard (h3data docs format).
 """
 
 # Why not universal-pathlib? Measured on a local S3 server, opening a dataset and reading five episodes: 0.18 s with

@@ -1,6 +1,6 @@
 """Cameras described in TOML or JSON files: fixed, mounted on a body, following, orbiting, or moving along a path.
 
-The fields are those of `CameraFile`; docs/cameras.md explains them with examples.
+The fields are those of `CameraFile`; h3data docs cameras explains them with examples.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data.geometry import pose_to_matrix, transform_points
 from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, orthographic, pinhole
 from h3data.replay.camera_files import Orbit, link_frames, orbit_poses, track_of_file
@@ -35,7 +35,7 @@ def camera_names(replay: Replay) -> list[str]:
 
 
 def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
-    """The camera with a name (`camera_names`), or the one described in a TOML or JSON file (docs/cameras.md).
+    """The camera with a name (`camera_names`), or the one described in a TOML or JSON file (h3data docs cameras).
 
     ``agent/name`` selects the camera of one agent if several have a camera of that name.
 
@@ -55,8 +55,8 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     mounted = _mounted(replay, name_or_file) if name_or_file in names or "/" in name_or_file else None
     if mounted is None:
         raise InputError(
-            f"Unknown camera {name_or_file!r}.{did_you_mean(name_or_file, names)} This recording offers: "
-            f"{', '.join(names)}; or give a .toml or .json file."
+            f"Unknown camera {name_or_file!r}."
+            f"{suggest(name_or_file, names, lead='This recording offers', more='; or give a .toml or .json file')}"
         )
     return mounted
 

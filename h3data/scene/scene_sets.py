@@ -1,6 +1,6 @@
 """Scene sets: the homes of a split and the number of episodes in each. One TOML file is one split.
 
-The file refers to scenes and never contains them: homes as specs, other scenes as paths (docs/scene-sets.md). Episodes are
+The file refers to scenes and never contains them: homes as specs, other scenes as paths (h3data docs scene-sets). Episodes are
 not stored either: episode ``i`` of a scene is sampled from `SceneSet.episode_seed`
 (`sim_kinematic.tasks.social_nav.sets`).
 """

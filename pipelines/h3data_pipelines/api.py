@@ -6,7 +6,7 @@ Each function runs the command of its name, so both do the same; results come ba
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -323,18 +323,24 @@ def sync(source: AnyPath, target: AnyPath, *, quick: bool = False, force: bool =
 
 def _result(command: type[Command], options: dict[str, Any], *, several: tuple[str, ...] = ()) -> Any:
     """Runs a command with options as Python has them: paths as text, lists instead of tuples, one path for several."""
-    from h3data.errors import H3DataError
-    from h3data_pipelines.options import in_python_words, options_of
+    from h3data.errors import H3DataError, InputError
+    from h3data_pipelines.options import check_value, in_python_words, options_of
 
     values: dict[str, Any] = {}
     for option in options_of(command):
         if option.field not in options:
             continue
         value = options[option.field]
-        if option.field in several and (isinstance(value, str) or hasattr(value, "__fspath__")):
-            value = [value]
+        one = isinstance(value, str) or hasattr(value, "__fspath__")
+        if option.field in several and one:
+            value, one = [value], False
         if value is None:
             continue
+        if option.count != 1 and (one or not isinstance(value, Iterable)):
+            raise InputError(f"{option.field}: expected a list, as [{value!r}], got {value!r}.")
+        value = value if option.count == 1 else tuple(value)
+        for each in (value,) if option.count == 1 else value:
+            check_value(option, each)
         if option.count == 1:
             values[option.field] = Path(str(value)) if option.kind is Path else value
         else:

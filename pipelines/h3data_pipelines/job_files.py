@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data_pipelines.options import Option
 
 
@@ -32,9 +32,7 @@ def read_job_file(path: Path, options: Sequence[Option]) -> dict[str, Any]:
         option = by_field.get(key.replace("-", "_"))
         if option is None:
             known = [field.replace("_", "-") for field in by_field]
-            raise InputError(
-                f"Unknown option {key!r} in {path}.{did_you_mean(key, known)} Expected some of: {', '.join(known)}."
-            )
+            raise InputError(f"Unknown option {key!r} in {path}.{suggest(key, known, lead='Expected some of')}")
         words[option.field] = _words(option, value, key, path)
     return words
 

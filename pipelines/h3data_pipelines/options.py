@@ -6,15 +6,18 @@ import contextlib
 import dataclasses
 import functools
 import math
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 import tyro
 
+from h3data.errors import InputError, suggest
 from h3data_pipelines.command import Command
 
 _POSITIONAL = get_args(tyro.conf.Positional[str])[1]
@@ -100,6 +103,31 @@ def read_value(option: Option, given: Any) -> Any:
     if option.count is not None and len(given) != option.count:
         raise ValueError(f"expected {option.count} values, got {len(given)}")
     return tuple(map(read, given))
+
+
+def check_value(option: Option, value: Any) -> None:
+    """Check one value that Python gives, as `read_value` does of words.
+
+    Raises:
+        InputError: it is not of the option's type.
+    """
+    if get_origin(option.kind) is Literal:
+        choices = get_args(option.kind)
+        if value not in choices:
+            raise InputError(f"{option.field}: unknown {value!r}.{suggest(str(value), map(str, choices))}")
+        return
+    types, expected = _PYTHON_TYPES[option.kind]
+    if not isinstance(value, types) or (isinstance(value, bool) and option.kind is not bool):
+        raise InputError(f"{option.field}: expected {expected}, got {value!r}.")
+
+
+_PYTHON_TYPES: dict[Any, tuple[tuple[type, ...], str]] = {
+    bool: ((bool,), "True or False"),
+    int: ((Integral,), "a whole number"),
+    float: ((Real,), "a number"),
+    str: ((str,), "text"),
+    Path: ((str, os.PathLike), "a path"),
+}
 
 
 def _choice(choices: tuple[Any, ...], text: str) -> Any:

@@ -13,12 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, NoReturn, get_args, get_type_hints
+from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, did_you_mean, suggest
 from h3data.plugins import own_version, trust
 from h3data_pipelines.command import Command, Group, NameOf
 from h3data_pipelines.job_files import read_job_file
@@ -161,10 +161,16 @@ def _documented(command: type[Command]) -> Any:
         names = next((extra for extra in getattr(kind, "__metadata__", ()) if isinstance(extra, NameOf)), None)
         if names is not None:
             kind = Annotated[kind, _shown(f"{{{','.join(names.names())}}}")]
+        elif get_origin(by_field[name].kind) is Literal and NoneType in get_args(_bare(kind)):
+            kind = Annotated[kind, _shown(f"{{{','.join(map(str, get_args(by_field[name].kind)))}}}")]
         hint = tyro.conf.arg(help_behavior_hint=lambda label: "" if label in _SILENT else f"(default: {label})")
         annotations[name] = Annotated[Repeatable[kind] if repeatable else kind, hint]
     members = {"__doc__": command.__doc__, "__module__": command.__module__, "__annotations__": annotations}
     return type(command.__name__, (command,), members)
+
+
+def _bare(kind: Any) -> Any:
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
 
 
 def _refuse_option(unknown: list[str], options: tuple[Option, ...], see: str) -> NoReturn:
@@ -188,7 +194,7 @@ def _valueless(options: tuple[Option, ...], words: list[str]) -> str:
 def _refuse(prog: str, word: str, commands: Mapping[str, Any]) -> NoReturn:
     if word.startswith("-"):
         raise InputError(f"Expected a command before {word}: {prog} COMMAND {word}. See: {prog} --help")
-    raise InputError(f"Unknown command {word!r}.{did_you_mean(word, commands)} Expected one of: {', '.join(commands)}.")
+    raise InputError(f"Unknown command {word!r}.{suggest(word, commands)} See: {prog} --help")
 
 
 # --- help -------------------------------------------------------------------------------------------------------------

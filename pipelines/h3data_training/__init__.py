@@ -1,1 +1,1 @@
-"""Training of recurrent policies from pictures: batched worlds, networks, PPO, checkpoints (docs/training.md)."""
+"""Training of recurrent policies from pictures: batched worlds, networks, PPO, checkpoints (h3data docs training)."""

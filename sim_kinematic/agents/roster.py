@@ -13,7 +13,7 @@ from h3data.bodies import Robot, humanoid_names, is_robot, load_humanoid, load_r
 from h3data.bodies.motion.walk_names import JOIN, split_walk
 from h3data.bodies.people.look.wardrobe import split_outfit
 from h3data.bodies.people.random_humanoid import is_random
-from h3data.errors import InputError, SceneError, did_you_mean
+from h3data.errors import InputError, SceneError, suggest
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.stands import robot_fits
@@ -117,10 +117,8 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
     if isinstance(name, str) and is_robot(name):
         return "robot", name
     known = ("robot", "human", *robot_names(), *humanoid_names())
-    raise InputError(
-        f"Unknown agent {name!r}.{did_you_mean(str(name), known)} Expected one of {', '.join(known)}, a robot's .urdf, "
-        "robot.toml or folder, or a person's .npz file."
-    )
+    files = ", a robot's .urdf, robot.toml or folder, or a person's .npz file"
+    raise InputError(f"Unknown agent {name!r}.{suggest(str(name), known, more=files)}")
 
 
 def is_person(name: str) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from sim_kinematic.envs.recipe import EnvRecipe
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.sources import Scenes
@@ -22,6 +22,7 @@ def make(
     device: Any = None,
     agents: Sequence[str] = ("robot",),
     render_mode: str | None = None,
+    flatten: bool = False,
     **options: Any,
 ) -> Any:
     """A training environment of a task.
@@ -33,6 +34,7 @@ def make(
         device: A torch device: worlds as tensors (social navigation and rearrangement).
         agents: Agents that act; several make a PettingZoo environment, which has one world.
         render_mode: ``rgb_array`` for ``render()``.
+        flatten: Observations are one vector instead of a dictionary of arrays.
         **options: Those of the task's stepper (`sim_kinematic.envs.world_stepper.WorldStepper`,
             `sim_kinematic.envs.skill_stepper.SkillStepper`) and `sim_kinematic.envs.stepper.Options`.
 
@@ -41,7 +43,9 @@ def make(
         MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
     given = {"num_envs": num_envs, "device": device, "agents": agents, "render_mode": render_mode, **options}
-    env = _make(task, scenes, num_envs, device, agents, render_mode, dict(options))
+    if flatten:
+        given["flatten"] = True
+    env = _make(task, scenes, num_envs, device, agents, render_mode, flatten, dict(options))
     if device is None:
         env.recipe = EnvRecipe(task, scenes, {name: value for name, value in given.items() if value is not None})
         if hasattr(env, "spec"):
@@ -56,12 +60,15 @@ def _make(
     device: Any,
     agents: Sequence[str],
     render_mode: str | None,
+    flatten: bool,
     options: dict[str, Any],
 ) -> Any:
     found = find_task(task) if isinstance(task, str) else task
     if device is not None:
+        if flatten:
+            raise InputError("Observations on a torch device are tensors by name. Hint: leave out flatten or device.")
         return _on_device(found, scenes, num_envs, device, agents, options)
-    from sim_kinematic.envs.stepper import ManySteppers, Options
+    from sim_kinematic.envs.stepper import FlatStepper, ManySteppers, Options
 
     if isinstance(agents, str):
         agents = (agents,)
@@ -77,12 +84,15 @@ def _make(
     if num_envs is not None:
         from sim_kinematic.envs.vector import TaskVectorEnv
 
+        many: Any
         if found.batched:
             many = stepper_class(found, scenes, worlds=num_envs, **given)
         else:
             many = ManySteppers(lambda: stepper_class(found, scenes, **given), num_envs)
+        many = FlatStepper(many) if flatten else many
         return TaskVectorEnv(many, render_mode=render_mode)
-    stepper = stepper_class(found, scenes, **given)
+    stepper: Any = stepper_class(found, scenes, **given)
+    stepper = FlatStepper(stepper) if flatten else stepper
     if len(agents) > 1:
         from sim_kinematic.envs.parallel import TaskParallelEnv
 
@@ -106,12 +116,10 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
     """Refuses options that nobody takes."""
     parameters = inspect.signature(stepper.__init__).parameters.values()
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in ("worlds", "options")]
-    known += [*shared, *task.env_options, "num_envs", "device", "render_mode"]
+    known += [*shared, *task.env_options, "num_envs", "device", "render_mode", "flatten"]
     for name in options:
         if name not in known:
-            raise InputError(
-                f"Unknown option {name!r} of {task.name}.{did_you_mean(name, known)} Expected some of: {', '.join(known)}."
-            )
+            raise InputError(f"Unknown option {name!r} of {task.name}.{suggest(name, known, lead='Expected some of')}")
 
 
 def _on_device(

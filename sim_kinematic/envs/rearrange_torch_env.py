@@ -31,7 +31,7 @@ EPISODES = 256
 
 
 class RearrangeTorchEnv(TorchEnv[Play]):
-    """W worlds of rearrangement on one device, with oracle skills (docs/gpu.md).
+    """W worlds of rearrangement on one device, with oracle skills (h3data docs gpu).
 
     A step is 1/30 s in all worlds. Whose choice counts in the next one says ``info["choosing"]``; -1 goes on. They play the
     episodes of a bank, each world in order from a place of its own, which follows from its seed. With two agents, actions,

@@ -93,9 +93,9 @@ def checked_render_mode(mode: str | None) -> str | None:
     return mode
 
 
-def first(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """The only world's row of each array."""
-    return {name: array[0] for name, array in arrays.items()}
+def first(arrays: Any) -> Any:
+    """The only world's row of an array, or of each of several by name."""
+    return {name: array[0] for name, array in arrays.items()} if isinstance(arrays, dict) else arrays[0]
 
 
 def one_row(action: ArrayLike) -> NDArray[Any]:

@@ -60,7 +60,7 @@ def arm_cameras(observations: Sequence[str]) -> tuple[str, ...]:
 
 
 class SocialNavTorchEnv(TorchEnv[Play]):
-    """W worlds of social navigation on one device (docs/gpu.md).
+    """W worlds of social navigation on one device (h3data docs gpu).
 
     They play the episodes of a bank, each world in order from a place of its own, which follows from its seed.
     """

@@ -155,6 +155,27 @@ class ManySteppers:
         return self.each[0].describe().removesuffix("1 world") + f"{self.worlds} world{'s' if self.worlds > 1 else ''}"
 
 
+class FlatStepper:
+    """A stepper whose observations are one vector for each world, as wrappers that know no dictionaries want them."""
+
+    def __init__(self, stepper: Any) -> None:
+        self._stepper = stepper
+        self._spaces = {agent: stepper.observation_space(agent) for agent in stepper.agents}
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stepper, name)
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """A box [D]: the observations in the order of the names of their own space."""
+        return gymnasium.spaces.flatten_space(self._spaces[agent])
+
+    def observe(self, agent: str) -> NDArray[Any]:
+        """What an agent is shown now, [W, D]."""
+        shown, space = self._stepper.observe(agent), self.observation_space(agent)
+        rows = [shown[name].reshape(self._stepper.worlds, -1) for name in self._spaces[agent].spaces]
+        return np.concatenate(rows, axis=1, dtype=space.dtype)
+
+
 def _joined(parts: Sequence[Arrays]) -> Arrays:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 

@@ -237,7 +237,7 @@ class SkillSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class OracleSpec:
-    """Skills as Habitat's oracle ones, so simple that a device repeats them step for step (docs/rearrangement.md).
+    """Skills as Habitat's oracle ones, so simple that a device repeats them step for step (h3data docs rearrangement).
 
     Nobody heeds anybody. An agent that stands at a place from which a thing is reached, and faces it, takes it: it is in the
     hand after some steps, and at its goal in the step in which it is put down. Arms stay at rest.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data.plugins import Registry
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.randomness import episode_seed
@@ -79,9 +79,7 @@ def assign(task: Task, episode: Episode, chosen: Assigned) -> list[AssignedPolic
     names = [member.name for member in members]
     strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
     if strangers:
-        raise InputError(
-            f"Nobody is called {strangers[0]!r}.{did_you_mean(strangers[0], names)} Expected some of: {', '.join(names)}."
-        )
+        raise InputError(f"Nobody is called {strangers[0]!r}.{suggest(strangers[0], names, lead='Expected some of')}")
     picked: list[Any] = [None] * len(members)
     for key, choice in chosen.items():
         kind = KINDS.get(key) if key not in names or names.count(key) != 1 else None
@@ -184,8 +182,8 @@ def _unknown(task: Task, kind: str, name: str) -> InputError:
             "module:name."
         )
     return InputError(
-        f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}.{did_you_mean(name, there)} Expected one of: "
-        f"{', '.join(there)}, weights:FILE or module:name.{weights_hint(name)}"
+        f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}."
+        f"{suggest(name, there, more=', weights:FILE or module:name')}{weights_hint(name)}"
     )
 
 

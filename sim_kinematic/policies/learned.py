@@ -1,4 +1,4 @@
-"""Learned policies from a file of weights: ``--policy weights:FILE``, in both tasks (docs/learned-policies.md)."""
+"""Learned policies from a file of weights: ``--policy weights:FILE``, in both tasks (h3data docs learned-policies)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SHIPPED_IN: Mapping[str, Mapping[str, str]] = {
     "social_nav": {"end_to_end": "policies/end_to_end.npz"},
     "rearrange": {name: f"policies/{name}.npz" for name in ("learn_single", "plan_pop_3_robot", "learn_pop")},
 }
-"""Trained robots that come with the package, by task and name (docs/training.md, docs/populations.md)."""
+"""Trained robots that come with the package, by task and name (h3data docs training, h3data docs populations)."""
 SHIPPED_PARTNERS: Mapping[str, str] = {
     f"{population}_partner_{k}": f"policies/{population}_partner_{k}.npz"
     for population in ("learn_single", "learn_pop")

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
@@ -201,8 +201,7 @@ def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
         return learned_chooser(name, objects, robot=True)
     if name not in ROBOT_POLICIES:
         there = (*ROBOT_POLICIES, *SHIPPED_IN["rearrange"])
-        near = did_you_mean(name, there)
-        raise InputError(f"Unknown policy {name!r}.{near} Expected one of: {', '.join(there)}, or weights:FILE.")
+        raise InputError(f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}")
     return ROBOT_POLICIES[name]()
 
 
@@ -215,8 +214,7 @@ def partner_plan(name: str, seed: int) -> str:
         return name
     if name not in POPULATIONS:
         there = (*PARTNERS, *SHIPPED_PARTNERS)
-        near = did_you_mean(name, there)
-        raise InputError(f"Unknown partner {name!r}.{near} Expected one of: {', '.join(there)}, or weights:FILE.")
+        raise InputError(f"Unknown partner {name!r}.{suggest(name, there, more=', or weights:FILE')}")
     plans = POPULATIONS[name]
     return plans[int(generator(seed, f"partner/{name}").integers(len(plans)))]
 

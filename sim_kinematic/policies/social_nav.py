@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.builtin import builtin_path
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
@@ -242,7 +242,7 @@ def random(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def learned_follower(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The weights that come with the package: what ``examples/train_social_nav.py`` learned (docs/learned-policies.md)."""
+    """The weights that come with the package: what ``examples/train_social_nav.py`` learned (h3data docs learned-policies)."""
     return _follower()(view, spec)
 
 
@@ -280,9 +280,7 @@ def policy_by_name(name: str) -> Policy:
     name = EARLIER_NAMES.get(name, name)
     if name not in POLICIES:
         there = [*POLICIES, *SHIPPED_IN["social_nav"]]
-        raise InputError(
-            f"Unknown policy {name!r}.{did_you_mean(name, there)} Expected one of: {', '.join(there)}, or weights:FILE."
-        )
+        raise InputError(f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}")
     return POLICIES[name]
 
 

@@ -1,6 +1,6 @@
 """What the agents observe, as pure functions on arrays: any leading axes (worlds first), float64 in SI units.
 
-Places on the floor are ``(x, z)``, headings as in docs/conventions.md. Where Habitat has the sensor, this is its value
+Places on the floor are ``(x, z)``, headings as in h3data docs conventions. Where Habitat has the sensor, this is its value
 (spec/habitat.md 1.5, 2.5); tests/sim/sensing/test_sensors.py compares them with outputs of the real code. All are exact;
 noise is added by `with_noise` and `depth_with_noise`, where wanted. Pictures: `sim_kinematic.sensing.camera_sensor`.
 """

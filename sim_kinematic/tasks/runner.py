@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from sim_kinematic.agents.skills import sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
@@ -165,7 +165,7 @@ class Session:
     recording = session.close()
     ```
 
-    docs/sessions.md lists the commands of each task.
+    h3data docs sessions lists the commands of each task.
     """
 
     def __init__(
@@ -205,8 +205,7 @@ class Session:
         """
         name = agent if agent in self._numbers else agent.replace("person", "human", 1)
         if name not in self._numbers:
-            near = did_you_mean(agent, self._numbers)
-            raise InputError(f"Nobody is called {agent!r}.{near} Expected one of: {', '.join(self._numbers)}.")
+            raise InputError(f"Nobody is called {agent!r}.{suggest(agent, self._numbers)}")
         return self._numbers[name]
 
     @property

@@ -2,7 +2,7 @@
 
 A task of one's own is a subclass of `Task` with a frozen `TaskSpec`, found by entry point (group ``h3data.tasks``) or as
 ``module:Class``. `sample` and `judge` are enough; recording, resuming, environments, datasets, metrics and reports follow
-(docs/extending.md).
+(h3data docs extending).
 """
 
 from __future__ import annotations

@@ -64,8 +64,8 @@ def test_it_says_what_generate_and_metrics_say_and_goes_on(tmp_path: Path, capsy
     ("options", "told"),
     [
         (("social_nav", "--policies", "magic"), "sampling_expert"),
-        (("social_nav", "--policies", ","), "--policies: expected some of rollout_expert"),
-        (("social_nav", "--partners", "both"), "expected some of waypoints"),
+        (("social_nav", "--policies", ","), "--policies: unknown nothing. Expected some of: rollout_expert"),
+        (("social_nav", "--partners", "both"), "--partners: unknown both. Expected some of: waypoints"),
         (("social_nav", "--scenes", "nowhere"), "h3-homes/test"),
         (("social_nav", "--max-steps", "0"), "--max-steps must be at least 1, got 0"),
         (("social_nav", "--seed", "-1"), "--seed must be at least 0, got -1"),

@@ -36,9 +36,9 @@ LEAVES = [
 ]
 HELP = [*((name,) for name, top in COMMANDS.items() if isinstance(top, Group)), *(words for words, _ in LEAVES)]
 REFUSED = {
-    "generat": "Unknown command 'generat'. Did you mean 'generate'? Expected one of: demo,",
+    "generat": "Unknown command 'generat'. Did you mean 'generate'? See: h3data --help",
     "fly": "Unknown command 'fly'. Expected one of: demo, generate,",
-    "scenes lst": "Unknown command 'lst'. Did you mean 'list'? Expected one of: list, show, export, validate.",
+    "scenes lst": "Unknown command 'lst'. Did you mean 'list'? See: h3data scenes --help",
     "--json generate": "Expected a command before --json: h3data COMMAND --json. See: h3data --help",
     "generate": "Missing from h3data generate: TASK and -o/--out. See: h3data generate --help",
     "generate wander": "Missing from h3data generate: -o/--out. See: h3data generate --help",
@@ -303,3 +303,35 @@ def test_messages_below_the_commands_name_no_flags() -> None:
                 said = re.sub(r"(h3data|pip) [a-z]+ [^.]*([.]{3} --[a-z]+)?|--unit-m of h3data motion import", "", said)
                 found += [f"{file}:{node.lineno}" for _ in re.findall(r"(?<![\w-])--[a-z]", said)]
     assert not found
+
+
+@pytest.mark.parametrize("words", ["generate", "play", "train", "rerender", "evaluate"])
+def test_no_help_offers_none(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """None only means that an option is not given."""
+    with pytest.raises(SystemExit):
+        main([words, "--help"])
+    said = capsys.readouterr().out
+    assert "{None" not in said
+    assert words not in ("generate", "train") or "{paper,natural}" in said or "{fast,paper,tiny}" in said
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "generate social_nav -o x --scenes smal:3", "generate social_nav -o x --policy rollout_exprt",
+        "generate social_nav -o x --human femal_0", "generate social_nav -o x --rule max_step=9", "export a --to lerobt -o b",
+        "evaluate social_nav -o x --policies rollout_exprt",
+    ],
+)  # fmt: skip
+def test_what_was_meant_is_said_alone(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words.split()) == 2
+    said = capsys.readouterr().err
+    assert "Did you mean '" in said
+    assert "Expected" not in said
+    assert len(said) < 160
+
+
+def test_a_table_of_options_says_what_was_meant_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "job.toml").write_text("episods = 3")
+    assert main(["generate", "social_nav", "-o", "x", "--config", str(tmp_path / "job.toml")]) == 2
+    assert capsys.readouterr().err.endswith("Did you mean 'episodes'?\n")

@@ -16,6 +16,7 @@ import pytest
 import h3data
 from h3data.errors import InputError
 from h3data.metrics.registry import find_profile
+from h3data_pipelines.cli import main
 from h3data_pipelines.command import Group
 from h3data_pipelines.commands.table import COMMANDS
 from h3data_pipelines.options import options_of
@@ -216,3 +217,35 @@ def test_notebooks_are_stored_without_outputs_which_make_docs_computes(notebook:
     for cell in cells:
         assert not cell.get("outputs"), "clear the outputs of all cells before you commit"
         assert cell.get("execution_count") is None
+
+
+def test_pages_are_shown_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["docs"]) == 0
+    listed = capsys.readouterr().out
+    for page in (*DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md")):
+        if page.stem not in ("index", "changes", "gallery"):
+            assert f"\n{page.relative_to(DOCS).with_suffix('')} " in f"\n{listed}"
+    assert "http" not in listed  # pyproject.toml names no address
+    assert main(["docs", "docs/metrics.md#field-proxemics"]) == 0
+    assert capsys.readouterr().out.startswith("# ")
+    assert main(["docs", "metrisc"]) == 2
+    assert capsys.readouterr().err.endswith("Did you mean 'metrics'? `h3data docs` lists the pages.\n")
+
+
+def test_sources_name_pages_as_the_command_shows_them() -> None:
+    """An installation has no folder docs/, and help and messages are read there."""
+    wrong = []
+    for package in (
+        "h3data",
+        "sim_kinematic",
+        "pipelines/h3data_pipelines",
+        "pipelines/h3data_training",
+        "viewers/h3data_viewers",
+    ):
+        for file in (ROOT / package).rglob("*.py"):
+            text = file.read_text(encoding="utf-8")
+            code = re.sub(r"#[^\n\"]*$", "", text, flags=re.MULTILINE)
+            named = re.findall(r"h3data docs ([a-z][a-z/-]*[a-z])", code) if file.name != "pages.py" else []
+            wrong += [f"{file}: {name}" for name in named if not (DOCS / f"{name}.md").is_file()]
+            wrong += [f"{file}: {name}" for name in re.findall(r"(?<![\w/`.])docs/[\w/-]+\.md", code)]
+    assert not wrong

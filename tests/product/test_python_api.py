@@ -84,6 +84,34 @@ def test_refusals_name_parameters(generated: Any) -> None:
         h3data.generate("wander", out, episodes=-1, resume=True)
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"episodes": "four"}, "episodes: expected a whole number, got 'four'."),
+        ({"episodes": 4.0}, "episodes: expected a whole number, got 4.0."),
+        ({"human_speed": "fast"}, "human_speed: expected a number, got 'fast'."),
+        ({"camera": "top_down"}, "camera: expected a list, as ['top_down'], got 'top_down'."),
+        ({"light": "bakd"}, "light: unknown 'bakd'. Did you mean 'baked'?"),
+        ({"resume": "yes"}, "resume: expected True or False, got 'yes'."),
+        ({"scenes": 3}, "scenes: expected text, got 3."),
+    ],
+)
+def test_values_of_other_types_are_refused(options: dict[str, Any], said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
+        h3data.generate("wander", tmp_path, **options)
+
+
+def test_an_unknown_column_says_what_was_meant(generated: Any) -> None:
+    recording = generated.dataset[0]
+    for look_up in (lambda: recording.columns["agent_0.pose"], lambda: recording.agent_column(0, "pose")):
+        with pytest.raises(KeyError) as caught:
+            look_up()
+        assert str(caught.value) == "No column 'agent_0.pose' in this recording. Did you mean 'agent_0.base_pose'?"
+        assert isinstance(caught.value, InputError)
+    assert "agent_0.pose" not in recording.columns
+    assert pickle.loads(pickle.dumps(recording.columns)).keys() == recording.columns.keys()
+
+
 def test_view_rerender_and_export_return_files(generated: Any, tmp_path: Path) -> None:
     episode = f"{generated.dataset.root}#1"
     assert h3data.view(episode, out=tmp_path / "a.rrd").stat().st_size > 1000

@@ -125,7 +125,7 @@ def test_only_the_wanted_columns(tmp_path):
     needed = {"time_ns", "object_pose", "agent_0.base_pose", "agent_1.base_pose"}
     assert set(part.columns) == {"metrics.dist_agents", *needed}
     assert np.array_equal(part.columns["metrics.dist_agents"], rec.columns["metrics.dist_agents"])
-    with pytest.raises(InputError, match=r"No columns \['metrics.nope'\].*dist_agents"):
+    with pytest.raises(InputError, match=r"No columns \['metrics.nope'\] in this log"):
         read_mcap(path, columns=["metrics.nope"])
 
 

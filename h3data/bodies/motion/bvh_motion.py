@@ -1,4 +1,4 @@
-"""BVH motion on our skeleton: joints by name, rest poses by rotation (docs/motion.md).
+"""BVH motion on our skeleton: joints by name, rest poses by rotation (h3data docs motion).
 
 A file's joint j has the world rotation G_j, ours H_j = G_j A_j, where A_j turns our T-pose into the file's pose without
 rotations. Local rotations are then q' = H_parent^-1 H_j, that is A_parent^-1 q A_j where no joint lies between.
@@ -197,7 +197,7 @@ def _fitting_table(bvh: Bvh, names: str | Path | None, where: str) -> _Mapped:
         some = ", ".join(j.name for j in bvh.joints if not j.end_site)
         raise FormatError(
             f"The joints of this BVH fit no table: {', '.join(nearest or [])} not found. Hint: give your own names in a TOML "
-            f"file, h3data motion import --names FILE (docs/motion.md). The file has {some[:300]}: {where}"
+            f"file, h3data motion import --names FILE (h3data docs motion). The file has {some[:300]}: {where}"
         )
     best = max(fits, key=lambda fit: fit[0])[1]
     faults = _order_faults(bvh, best.index)
@@ -250,7 +250,7 @@ def _upright(places: Array, index: Mapping[str, int], where: str) -> Array:
     if any(a is None for a in axes) or abs(np.dot(*axes)) > 0.5:  # type: ignore[arg-type]
         raise FormatError(
             "Without rotations this figure does not stand upright (its joint frames follow its bones). Hint: say in a table "
-            f"where the axes point, names=FILE with [axes] (docs/motion.md): {where}"
+            f"where the axes point, names=FILE with [axes] (h3data docs motion): {where}"
         )
     return np.stack([axes[0], axes[1], np.cross(axes[0], axes[1])], axis=1)  # type: ignore[arg-type]
 
@@ -285,7 +285,7 @@ def _corrections(found: _Mapped, places: Array, upright: Array, where: str) -> d
             if np.dot(bone, straight) < np.cos(np.radians(BEND_DEG)):
                 raise FormatError(
                     f"Without rotations, {name} points away from a T-pose by more than {BEND_DEG:g} degrees. Hint: say in "
-                    f"a table where the axes point, names=FILE with [axes] (docs/motion.md): {where}"
+                    f"a table where the axes point, names=FILE with [axes] (h3data docs motion): {where}"
                 )
             turn = _shortest_turn(np.array(straight), bone)
         elif name.startswith(SIDES) and not name.endswith(_OWN_TURN[found.table.feet_follow_shanks]):

@@ -2,7 +2,7 @@
 
 Our own people walk by distance with planted feet (`h3data.bodies.people.clips`). This module is for comparison and for
 recordings that must look as in Habitat: its integer frames, its turns of at most one step, its reach by interpolation
-between stored poses (spec/habitat.md 3.4 and 3.5), and its slips (docs/motion.md lists them).
+between stored poses (spec/habitat.md 3.4 and 3.5), and its slips (h3data docs motion lists them).
 
 Frames, as in habitat-lab. The *base* has x forward, y left, z up; its origin is 0.9 m above the floor. The *root* is the
 SMPL-X pelvis frame with x left, y up, z forward. 4x4 matrices act on column vectors.

@@ -28,7 +28,7 @@ from h3data.bodies.people.look.wardrobe import OUTFITS, SEPARATOR, WARDROBE_FILE
 from h3data.bodies.people.random_humanoid import is_random, random_arrays
 from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.builtin import builtin_path
-from h3data.errors import FormatError, InputError, did_you_mean
+from h3data.errors import FormatError, InputError, suggest
 from h3data.geometry import Array
 from h3data.mesh.mesh import Mesh
 
@@ -69,12 +69,9 @@ def load_humanoid(name: str | Path) -> Humanoid:
     else:
         before, _, after = body.partition(SEPARATOR)
         if before in humanoid_names() or is_random(before) or before.endswith(".npz"):
-            near = did_you_mean(after, tuple(OUTFITS))
-            raise InputError(f"No outfit {after!r}.{near} There are: {', '.join(OUTFITS)}.")
-        near = did_you_mean(body, humanoid_names())
-        raise InputError(
-            f"No built-in humanoid {body!r}.{near} There are: {', '.join(humanoid_names()) or 'none'}, and random:SEED."
-        )
+            raise InputError(f"No outfit {after!r}.{suggest(after, OUTFITS, lead='There are')}")
+        near = suggest(body, humanoid_names(), lead="There are", more=", and random:SEED")
+        raise InputError(f"No built-in humanoid {body!r}.{near}")
     data = read_arrays(path, FILE_FORMAT)
     try:
         if "full_faces" not in data and str(data["common"]) != builtin_common().name:

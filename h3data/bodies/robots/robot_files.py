@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from h3data.bodies.robots.robot_settings import decode_settings
 from h3data.builtin import builtin_path
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data.plugins import REFERENCE, Registry
 
 SETTINGS_NAME = "robot.toml"
@@ -91,10 +91,8 @@ def find_robot(name_or_path: str | Path) -> RobotFiles:
         return _in_folder(path.parent)
     if is_robot_file(path):
         return _in_folder(path)
-    raise InputError(
-        f"Unknown robot {text!r}.{did_you_mean(text, robot_names())} Expected one of: "
-        f"{', '.join(robot_names())}; or the path of a .urdf, of a robot.toml, or of a folder with one."
-    )
+    paths = "; or the path of a .urdf, of a robot.toml, or of a folder with one"
+    raise InputError(f"Unknown robot {text!r}.{suggest(text, robot_names(), more=paths)}")
 
 
 def _in_folder(folder: Path) -> RobotFiles:

@@ -57,7 +57,7 @@ NAVMESH_SETTINGS: Mapping[str, float | bool] = {
     "filterWalkableLowHeightSpans": True,
 }
 """habitat-sim's defaults with the agent of Rearrange (spec/habitat.md 6.7). Its JSON reader knows no ``includeStaticObjects``:
-who bakes a navmesh from these has to ask for furniture in Python (docs/habitat.md)."""
+who bakes a navmesh from these has to ask for furniture in Python (h3data docs habitat)."""
 
 _AXES = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
@@ -87,7 +87,7 @@ def export_habitat_dataset(
 
     The building (`STAGE_CATEGORIES`) becomes the stage, everything else objects with ``asset_local`` poses and a centre
     of mass at the asset's origin, so that both of Habitat's origins are the same point (spec/habitat.md 6.1-6.4, 6.7;
-    what is written and what Habitat has no place for: docs/scenes.md). Equal scenes give equal bytes. The folder
+    what is written and what Habitat has no place for: h3data docs scenes). Equal scenes give equal bytes. The folder
     appears when it is complete.
 
     Args:

@@ -1,7 +1,7 @@
 """Habitat's PathFinder, name for name, over a `FreeSpace` or a `NavMesh`: points (x, y, z) in, points out.
 
 Semantics are habitat-sim's (spec/habitat.md 1.3 and 6.7); paths are shortest where Habitat's are the taut string through
-the polygons that A* chose. What differs on purpose is listed in docs/navigation.md.
+the polygons that A* chose. What differs on purpose is listed in h3data docs navigation.
 """
 
 from __future__ import annotations

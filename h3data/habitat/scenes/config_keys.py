@@ -1,4 +1,4 @@
-"""Which keys of Habitat's configs are read, and why the others are not. docs/scenes.md shows the same table."""
+"""Which keys of Habitat's configs are read, and why the others are not. h3data docs scenes shows the same table."""
 
 from __future__ import annotations
 

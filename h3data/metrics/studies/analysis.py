@@ -177,7 +177,7 @@ def analyse_study(
     if len(conditions) < 2 or people < 2:
         raise InputError(
             f"The study needs two conditions and two participants or more, got {len(conditions)} and {people}. Hint: name "
-            "them when importing: h3data import ... --manifest sessions.csv (docs/import.md)."
+            "them when importing: h3data import ... --manifest sessions.csv (h3data docs import)."
         )
     layout = study_layout(profile)
     metrics = tuple(m for name in layout.columns for m in profile.metrics if m.name == name)

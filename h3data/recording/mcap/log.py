@@ -1,6 +1,6 @@
 """One episode as an MCAP file that is appended to while the episode happens, readable up to the last flush after a crash.
 
-While it is written the file is called ``<name>.part``; only a complete file gets its final name. ``docs/format.md``
+While it is written the file is called ``<name>.part``; only a complete file gets its final name. ``h3data docs format``
 describes the contents.
 """
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import FormatError, InputError, did_you_mean
+from h3data.errors import FormatError, InputError, suggest
 from h3data.recording.mcap.header import PROFILE, TOPIC_MESSAGES
 from h3data.recording.mcap.scan import McapRecords, decoding_errors, scan_records
 from h3data.recording.mcap.shared_files import RECORD, shared_files
@@ -176,8 +176,8 @@ def assemble(
         existing = [c.name for c in layout or ()]
         unknown = sorted(set(wanted) - set(existing))
         if unknown:
-            near = did_you_mean(unknown[0], existing)
-            raise InputError(f"No columns {unknown} in this log.{near} It has: {', '.join(existing)}. File: {path}")
+            near = suggest(unknown[0], existing, lead="It has")
+            raise InputError(f"No columns {unknown} in this log.{near} File: {path}")
         names = set(wanted) | required_columns(len(scene["agents"]))
     columns = columns_of(log, steps=steps, wanted=names, first=first)
     if not columns:

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data.recording.episodes import Episodes, HasEpisodes, StoredEpisode
 from h3data.recording.parquet import tables
 from h3data.recording.parquet.columns import to_numpy
@@ -226,10 +226,8 @@ class Dataset(DatasetFolder):
     def _require_columns(self, columns: Sequence[str]) -> None:
         unknown = sorted(set(columns) - set(self._declared))
         if unknown:
-            near = did_you_mean(unknown[0], self._declared)
-            raise InputError(
-                f"No columns {unknown} in this dataset.{near} It has: {', '.join(self._declared)}: {self.root}"
-            )
+            near = suggest(unknown[0], self._declared, lead="It has")
+            raise InputError(f"No columns {unknown} in this dataset.{near} Dataset: {self.root}")
 
     def _groups(self, indices: range) -> Iterator[range]:
         """Runs of episodes of one shard with the same columns, which one read can return."""

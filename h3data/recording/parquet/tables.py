@@ -1,7 +1,7 @@
 """A Parquet dataset as tables: Arrow, polars, pandas, torch; and as a lazy Arrow dataset for query engines.
 
 A table has one row per step, like the files: arrays are flattened in C order to fixed-size lists of the declared width,
-narrower episodes are padded (docs/format.md). Vectors are not split into columns.
+narrower episodes are padded (h3data docs format). Vectors are not split into columns.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from h3data.errors import InputError, MissingExtraError, did_you_mean
+from h3data.errors import InputError, MissingExtraError, suggest
 from h3data.recording.parquet.files import shard_path
 from h3data.recording.parquet.folder import DatasetFolder
 from h3data.recording.parquet.schema import SIDECARS, STANDARD, arrow_rows, data_schema, record_schema
@@ -85,7 +85,7 @@ def table_schema(dataset: DatasetFolder, columns: Sequence[str] | None = None) -
     unknown = sorted(set(columns or ()) - set(kinds))
     if unknown:
         raise InputError(
-            f"No columns {unknown} in this dataset.{did_you_mean(unknown[0], kinds)} It has: {', '.join(kinds)}: {dataset.root}"
+            f"No columns {unknown} in this dataset.{suggest(unknown[0], kinds, lead='It has')} Dataset: {dataset.root}"
         )
     names = dict.fromkeys(kinds if columns is None else columns)
     return pa.schema([pa.field(name, arrow_rows(*kinds[name])) for name in names])

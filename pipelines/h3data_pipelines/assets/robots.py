@@ -118,7 +118,7 @@ class RobotsReach:
 class RobotsInit:
     """Write a robot.toml for a URDF, to be edited: what h3data guesses about its base, arm, hand, cameras and posture.
 
-    Put beside the URDF, the file is used from then on; docs/robots.md explains its fields.
+    Put beside the URDF, the file is used from then on; h3data docs robots explains its fields.
 
     Examples:
         h3data robots init fetch.urdf
@@ -138,7 +138,7 @@ class RobotsInit:
         target = claim_file(self.out or self.urdf.with_name(SETTINGS_NAME), force=self.force)
         reference = self.urdf.name if target.parent.resolve() == self.urdf.parent.resolve() else self.urdf.resolve()
         settings = msgspec.structs.replace(settings, urdf=str(reference))
-        header = "# What a URDF cannot say about a robot, guessed by h3data; docs/robots.md explains the fields.\n"
+        header = "# What a URDF cannot say about a robot, guessed by h3data; h3data docs robots explains the fields.\n"
         target.write_text(header + encode_settings(settings), encoding="utf-8")
         hand = f"hand {settings.hand_link}" if settings.hand_link else "no hand found"
         discs = f"{len(settings.base_discs_m)} base discs of {settings.base_radius_m} m"

@@ -79,7 +79,7 @@ def presets_and_sets() -> Outcome:
             [[cell(v) for v in r.values()] for r in sets],
         ),
         "Name a scene of a set as set#number, e.g. h3-homes/test#3. Define your own sets in .toml files "
-        "(docs/scene-sets.md).",
+        "(h3data docs scene-sets).",
     ]
     return Outcome(text="\n\n".join(parts), data={"presets": presets, "sets": sets})
 

@@ -41,7 +41,7 @@ log = logging.getLogger(__name__)
 class Export:
     """Write recordings as files of other programs.
 
-    docs/export.md says what each format keeps. gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it.
+    h3data docs export says what each format keeps. gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it.
     gltf: one animated .glb for three.js and Blender. foxglove: a .foxglove.mcap of standard messages for Foxglove and
     Lichtblick. csv: a folder of tables and NumPy arrays. lerobot and robomimic: demonstrations to learn from, of one or
     many recordings. habitat-episodes: rearrangement as habitat-lab's episodes, with their scenes.

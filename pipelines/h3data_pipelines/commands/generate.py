@@ -97,7 +97,7 @@ class Generate:
     task: tyro.conf.Positional[str]
     """social_nav: find a walking person and follow them at 1-2 m. rearrange: help them to bring two objects to their goals.
     wander: any robots and people walk about from one random point to another. Or the name of an installed task, or
-    module:Class (docs/extending.md)."""
+    module:Class (h3data docs extending)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset, or its URI: s3://bucket/ds."""
     episodes: int | None = None
@@ -119,8 +119,8 @@ class Generate:
     policy: str | None = None
     """Robot policy. social_nav: rollout_expert (default), heuristic_expert, sampling_expert, future_oracle (knows their walk),
     learned_follower, end_to_end (sees by cameras), random or stand_still; rearrange: complement (default), greedy_nearest,
-    same_object, still, the learned learn_single, plan_pop_3_robot and learn_pop (docs/populations.md), or solo (there is no
-    robot). Both: weights:FILE, a learned one (docs/learned-policies.md)."""
+    same_object, still, the learned learn_single, plan_pop_3_robot and learn_pop (h3data docs populations), or solo (there is no
+    robot). Both: weights:FILE, a learned one (h3data docs learned-policies)."""
     partner: str | None = None
     """rearrange: policy of the person: both (default), object_1, object_2, still; plan_pop_1 to plan_pop_4, populations of
     which each episode samples one; or a learned one, learn_single_partner_0 to _2, learn_pop_partner_0 to _2, weights:FILE."""
@@ -135,8 +135,8 @@ class Generate:
     episode samples one of the twelve adults; random: each makes people of its own, in wander each person (default: the
     episode's, else female_0)."""
     motion: Path | None = None
-    """How people walk: as in a motion file, one of h3data motion import, AMASS, Habitat or BVH (docs/motion.md). It is kept in
-    each recording."""
+    """How people walk: as in a motion file, one of h3data motion import, AMASS, Habitat or BVH (h3data docs motion). It is kept
+    in each recording."""
     human_walk: WalkOption | None = None
     """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
     once (default: the episode's, else natural)."""

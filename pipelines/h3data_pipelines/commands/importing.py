@@ -18,7 +18,7 @@ from h3data_pipelines.jobs.imports import ImportResult, import_files
 class Import:
     """Turn recordings of other programs into MCAP recordings. Folders are searched, formats are detected by content.
 
-    Reads gfx-replay files, the logs of Habitat's human-in-the-loop tools, and formats of plug-ins (docs/import.md).
+    Reads gfx-replay files, the logs of Habitat's human-in-the-loop tools, and formats of plug-ins (h3data docs import).
 
     Examples:
         h3data import my_session.gfx_replay.json -o rec/
@@ -33,7 +33,8 @@ class Import:
     assets: tuple[Path, ...] = ()
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS), to report what is missing."""
     manifest: Path | None = None
-    """CSV table of a study: who (participant) did which file, user_id or episode_id under which condition (docs/import.md)."""
+    """CSV table of a study: who (participant) did which file, user_id or episode_id under which condition
+    (h3data docs import)."""
     fps: float = 30.0
     """Steps per second of files without times: gfx-replays and the first generation of HITL logs."""
     strict: bool = False

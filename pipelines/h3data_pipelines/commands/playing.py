@@ -55,7 +55,7 @@ class Play:
     app: tyro.conf.Positional[str]
     """rearrange: bring two objects to their places. social_nav: walk about while a robot has to find and follow you.
     tutorial: walk, look, take and place, one step after the other. teleop: drive the robot, take and place with its arm. Or
-    module:Class, an app of your own (docs/play.md)."""
+    module:Class, an app of your own (h3data docs play)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the recordings (default: a new one below out/play)."""
     play_as: Annotated[str | None, tyro.conf.arg(aliases=["--as"])] = None

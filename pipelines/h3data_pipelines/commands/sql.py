@@ -57,7 +57,7 @@ class Sql:
 
     By DuckDB: pip install "h3data[sql]". Reads only what the query needs, writes nothing.
 
-    Views (the columns of a dataset: h3data sql "describe steps" ds/; all of them: docs/queries.md):
+    Views (the columns of a dataset: h3data sql "describe steps" ds/; all of them: h3data docs queries):
         steps      one row per step. Names with a dot need quotes: "agent_0.action"[1]; lists count from 1.
                    Shorter: agent_0_x, _y, _z, _heading; dist_agents for "metrics.dist_agents"; seconds.
         episodes   one row per episode: task, scene, seed, policy, partner, length, seconds, info and the metrics S, SPS, ...
@@ -102,7 +102,7 @@ class Sql:
             claim_file(self.out, force=self.force)
         datasets = {path: dataset for path, dataset in opened.items() if isinstance(dataset, Dataset)}
         connection = connect(datasets, profile=self.profile, metrics="episodes" in self.query.lower())
-        with explained_errors(connection):
+        with explained_errors():
             relation = select(connection, self.query)
             if self.out is None:
                 if self.json:
@@ -164,26 +164,24 @@ def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPy
 
 
 @contextmanager
-def explained_errors(connection: duckdb.DuckDBPyConnection) -> Iterator[None]:
-    """Turns DuckDB's errors into an `InputError`, with the views and their columns unless the query is no SQL at all."""
+def explained_errors() -> Iterator[None]:
+    """Turns DuckDB's errors into an `InputError` of one line; its message names the closest columns."""
     import duckdb
 
     try:
         yield
-    except duckdb.ParserException as error:
-        raise InputError(str(error)) from None
     except duckdb.Error as error:
-        raise InputError(f"{error}\n\n{views(connection)}") from None
+        said, _, where = str(error).partition("\n\n")
+        near = re.search(r"^Candidate bindings: .*$|^Did you mean .*$", where, re.MULTILINE)
+        line = " ".join(f"{said} {near[0] if near and near[0] not in said else ''}".split())
+        hint = "" if isinstance(error, duckdb.ParserException) else f" {_WHERE}"
+        raise InputError(f"{line}{'' if line.endswith(('.', '!', '?')) else '.'}{hint}") from None
 
 
-def views(connection: duckdb.DuckDBPyConnection) -> str:
-    """Every view with its columns, one per line."""
-    shown = []
-    for view in ("steps", "episodes", *_RECORDS):
-        columns = [column for column, *_ in connection.execute(f"DESCRIBE {view}").fetchall()]
-        quoted = [c if re.fullmatch(r"\w+", c) else f'"{c}"' for c in columns]
-        shown.append(f"{view}: {', '.join(quoted)}")
-    return "\n".join(shown)
+_WHERE = (
+    'Hint: h3data sql "describe steps" DATASET lists the columns of a view: '
+    f"{', '.join(('steps', 'episodes', *_RECORDS))}."
+)
 
 
 # --- the views --------------------------------------------------------------------------------------------------------

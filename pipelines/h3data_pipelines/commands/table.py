@@ -29,6 +29,7 @@ from h3data_pipelines.machine.bench import Bench
 from h3data_pipelines.machine.caches import CACHE
 from h3data_pipelines.machine.completion import Completion
 from h3data_pipelines.machine.doctor import Doctor
+from h3data_pipelines.machine.pages import Docs
 from h3data_pipelines.machine.planning import Plan
 from h3data_pipelines.machine.warmup import Warmup
 from h3data_pipelines.pictures.report import ReportCommand
@@ -63,6 +64,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "sync": Sync,
     "validate": Validate,
     "recover": Recover,
+    "docs": Docs,
     "doctor": Doctor,
     "cache": CACHE,
     "warmup": Warmup,

@@ -16,7 +16,7 @@ ExecutorOption = Annotated[
     str,
     tyro.conf.arg(
         help="Who does the work: local (processes of this machine), ray (a Ray cluster that runs here or that RAY_ADDRESS "
-        "names, else Ray on this machine) or ray://HOST:PORT. The results are the same (docs/scale.md)."
+        "names, else Ray on this machine) or ray://HOST:PORT. The results are the same (h3data docs scale)."
     ),
 ]
 

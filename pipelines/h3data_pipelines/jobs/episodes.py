@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import msgspec
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data.recording import Recording
 from h3data.scene.scene_sets import SceneFile, SceneSet, SceneSource
 
@@ -437,7 +437,7 @@ def _rule_value(spec: Any, name: str, value: Any) -> Any:
     """
     there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in _RULE_KINDS]
     if name not in there:
-        raise InputError(f"Unknown rule {name!r}.{did_you_mean(name, there)} Expected one of: {', '.join(there)}.")
+        raise InputError(f"Unknown rule {name!r}.{suggest(name, there)}")
     now = getattr(spec, name)
     kind = type(now)
     if kind is float and type(value) is int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import reason_of
 
@@ -160,11 +160,14 @@ def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...
     names = tuple(dict.fromkeys(each for name in asked for each in (there if name == ALL else files_of(name))))
     strangers = [name for name in names if name not in there and ":" not in name]
     if strangers or not names:
-        near = f"{did_you_mean(strangers[0], there)}{weights_hint(strangers[0])}" if strangers else ""
-        raise InputError(
-            f"{option}: expected some of {', '.join(there)}, weights:FILE, module:name, or all; got "
-            f"{', '.join(strangers) or 'none'}.{near}"
+        near = suggest(
+            strangers[0] if strangers else "",
+            there,
+            lead="Expected some of",
+            more=", weights:FILE, module:name, or all",
         )
+        hint = weights_hint(strangers[0]) if strangers else ""
+        raise InputError(f"{option}: unknown {', '.join(strangers) or 'nothing'}.{near}{hint}")
     return tuple(map(stamped, names))
 
 

@@ -12,7 +12,7 @@ LEFT = (
     "checkpoint.pt", "policy.npz", "partner_*.npz", "curve.parquet", "tensorboard", "episodes.json.gz", "episodes.npz",
     "starts.npz",
 )  # fmt: skip
-"""What runs leave in their folders (docs/training.md, docs/populations.md, docs/skills.md)."""
+"""What runs leave in their folders (h3data docs training, h3data docs populations, h3data docs skills)."""
 
 
 def run_folder(

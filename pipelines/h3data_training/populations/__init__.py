@@ -1,1 +1,1 @@
-"""Rearrangement learned beside populations of partners (docs/populations.md)."""
+"""Rearrangement learned beside populations of partners (h3data docs populations)."""

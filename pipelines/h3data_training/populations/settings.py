@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import WALKERS
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, WITHOUT_OTHER
@@ -94,16 +94,12 @@ class PopulationSettings:
 
     def __post_init__(self) -> None:
         if self.population not in NAMES:
-            raise InputError(
-                f"Unknown population {self.population!r}.{did_you_mean(self.population, NAMES)} Expected one of: "
-                f"{', '.join(NAMES)}."
-            )
+            raise InputError(f"Unknown population {self.population!r}.{suggest(self.population, NAMES)}")
         if self.walk not in (*LONGEST, BOTH):
             raise InputError(f"Unknown walk {self.walk!r}. Expected one of: {', '.join((*LONGEST, BOTH))}.")
         if strangers := [name for name in self.without if name not in ABLATIONS]:
             raise InputError(
-                f"Unknown ablation {strangers[0]!r}.{did_you_mean(strangers[0], ABLATIONS)} Expected some of: "
-                f"{', '.join(ABLATIONS)}."
+                f"Unknown ablation {strangers[0]!r}.{suggest(strangers[0], ABLATIONS, lead='Expected some of')}"
             )
         object.__setattr__(self, "without", tuple(name for name in ABLATIONS if name in self.without))
         whole = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from typing import Any
@@ -98,6 +99,33 @@ def test_pettingzoo_accepts_the_environment() -> None:
 
 
 # --- the same episodes everywhere ---------------------------------------------------------------------------------------
+def test_flat_observations_are_the_others_in_a_row() -> None:
+    pair = make(agents=PAIR, scenes=HOME, spec=SHORT, flatten=True)
+    parallel_api_test(pair, num_cycles=5)
+    named, flat = make(agents=PAIR, scenes=HOME, spec=SHORT), pickle.loads(pickle.dumps(pair))
+    expected, got = named.reset(seed=4)[0], flat.reset(seed=4)[0]
+    for agent in PAIR:
+        assert isinstance(flat.observation_space(agent), gymnasium.spaces.Box)
+        assert flat.observation_space(agent).contains(got[agent])
+        row = gymnasium.spaces.flatten(named.observation_space(agent), expected[agent])
+        np.testing.assert_array_equal(got[agent], row)
+    check_env(make(scenes=HOME, spec=SHORT, flatten=True), skip_render_check=True)
+    worlds = make(scenes=HOME, spec=SHORT, num_envs=2, flatten=True)
+    seen = worlds.reset(seed=4)[0]
+    assert seen.shape == worlds.observation_space.shape
+    with pytest.raises(InputError, match="leave out flatten"):
+        make(scenes=HOME, flatten=True, device="cpu")
+
+
+def test_supersuit_wraps_flat_environments() -> None:
+    supersuit = pytest.importorskip("supersuit", reason="SuperSuit is not installed")
+    env = make(agents=PAIR, scenes=HOME, spec=SHORT, flatten=True)
+    env = supersuit.pad_action_space_v0(supersuit.pad_observations_v0(supersuit.flatten_v0(env)))
+    many = supersuit.concat_vec_envs_v1(supersuit.pettingzoo_env_to_vec_env_v1(env), 2, base_class="gymnasium")
+    observations, _ = many.reset(seed=1)
+    assert observations.shape == (4, env.observation_space("robot").shape[0])
+
+
 def test_it_is_the_episode_that_the_simulator_plays() -> None:
     env = make(scenes=HOME, spec=SocialNavSpec(max_steps=200, spawn_distance_m=3.0))
     _, info = env.reset(seed=4)

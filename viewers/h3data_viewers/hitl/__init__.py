@@ -1,5 +1,5 @@
 """People in the loop, live in a browser.
 
 A front process (`front`) holds sockets and seats and imports neither NumPy nor numba; workers (`worker`) step many worlds
-each (`live`), 30 times a second, over `sim_kinematic.tasks.runner.Session`. docs/play.md has the protocol.
+each (`live`), 30 times a second, over `sim_kinematic.tasks.runner.Session`. h3data docs play has the protocol.
 """

@@ -1,5 +1,5 @@
-"""A scripted browser: speaks the protocol of docs/play.md over HTTP and a socket, and keeps what the server says. For tests,
-benchmarks and scripted participants of studies; needs no simulator."""
+"""A scripted browser: speaks the protocol of h3data docs play over HTTP and a socket, and keeps what the server says. For
+tests, benchmarks and scripted participants of studies; needs no simulator."""
 
 from __future__ import annotations
 
