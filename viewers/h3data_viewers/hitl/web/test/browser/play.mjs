@@ -293,8 +293,14 @@ async function hands() {
   }
   const keys = await text("hint");
   const help = await text("keys");
-  const body = await player.ask(`(() => { const { game } = probe; const at = game.camera.camera.position.clone().set(game.shown.x, game.world.floor.height(game.shown.x, game.shown.z) + 1.1, game.shown.z).project(game.camera.camera);
-    return [((at.x + 1) / 2) * innerWidth, ((1 - at.y) / 2) * innerHeight]; })()`);
+  // the camera is near in narrow places: only a part of the body is seen
+  const body = await player.ask(`(() => { const { game } = probe;
+    for (let y = 0.4; y > -1; y -= 0.1)
+      for (let x = -0.6; x < 0.7; x += 0.1) {
+        const pixel = [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight];
+        if (game.pointing.agent(x, y, game.camera.camera) === game.manifest.me && document.elementFromPoint(...pixel)?.id === "view") return pixel;
+      }
+    throw new Error("the own body is not seen"); })()`);
   const seq = await player.ask("probe.game.net.seq");
   await player.page.mouse.click(...body);
   await player.drawn(3);
