@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 from dataclasses import replace
@@ -339,6 +340,68 @@ def test_a_full_disk_never_shows_the_final_name(tmp_path, monkeypatch, room):
         steps = recover_mcap(tmp_path / "a.mcap.part", tmp_path / "b.mcap").steps
         assert steps > 0
         assert steps % 30 == 0
+
+
+class FillingDisk(io.FileIO):
+    """A disk that takes what there is room for, as the operating system does: a part of a write, then an error."""
+
+    room = 0
+
+    def write(self, data) -> int:  # type: ignore[override]
+        room = self.room - self.tell()
+        if room <= 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(memoryview(data)[:room])
+
+
+@pytest.mark.parametrize("rows", [7, 30])
+def test_a_writer_goes_on_when_a_full_disk_has_space_again(tmp_path, monkeypatch, rows):
+    rec, disks = simple_recording(steps=120), []
+
+    def open_filling(part, *, overwrite):
+        disks.append(FillingDisk(part, "wb"))
+        disks[-1].room = 12_345
+        return disks[-1]
+
+    def tried(act) -> None:
+        """As somebody who clears the disk bit by bit: after each fault there is a little more room."""
+        while True:
+            try:
+                act()
+                return
+            except InputError as fault:
+                said.add("No space left on device" in str(fault))
+                faults.append(recover(tmp_path / "a.mcap.part"))
+                disks[0].room += 777
+                act = writer.close if act == writer.close else writer.flush
+
+    def recover(part) -> int:
+        with contextlib.suppress(FormatError):
+            return recover_mcap(part, tmp_path / "saved" / "a.mcap", overwrite=True).steps
+        return 0
+
+    faults: list[int] = []
+    said: set[bool] = set()
+    monkeypatch.setattr(mcap_part, "open_part", open_filling)
+    (tmp_path / "saved").mkdir()
+    writer = RecordingWriter(tmp_path / "a.mcap", rec, compact=False, flush_rows=rows, flush_s=1e9)
+    monkeypatch.undo()
+    for k in range(0, 120, rows):
+        tried(lambda k=k: writer.append({n: a[k : k + rows] for n, a in rec.columns.items()}))
+    for event in rec.events:
+        writer.event(event)
+    for span in rec.skills:
+        writer.skill(span)
+    for message in rec.inputs:
+        writer.input(message)
+    tried(writer.close)
+    assert len(faults) > 4
+    assert said == {True}
+    assert faults == sorted(faults), "what is on the disk can be read at any moment"
+    assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
+    assert not (tmp_path / "a.mcap.part").exists()
+    with pytest.raises(InputError, match="closed"):
+        writer.append(rec.columns)
 
 
 def test_existing_files_are_kept(tmp_path):

@@ -14,7 +14,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import IO, Any, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,7 +65,8 @@ class LogWriter:
 
     As a context manager it closes the file at the end; on an exception or Ctrl-C it leaves what there is as
     ``<name>.part``, which `recover_mcap` (``h3data recover``) reads. Rows reach the operating system at least every
-    ``flush_rows`` rows or ``flush_s`` seconds.
+    ``flush_rows`` rows or ``flush_s`` seconds. What the disk does not take stays in memory: after an error of the disk, `flush`
+    and `close` can be called again when there is space, and nothing is lost.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class LogWriter:
 
         self.path = local(path)
         self.header = header
-        self.closed = False
+        self.closed = self._finished = False
         self._t0 = start_time(header, t0_unix_ns)
         self._chunk_bytes, self._flush_rows, self._flush_s = chunk_bytes, flush_rows, flush_s
         self._blocks = 0
@@ -110,8 +111,9 @@ class LogWriter:
             shared = {} if share_in is None else share_files(header.attachments, local(share_in), self.path)
             with self._file.writing():
                 self._mcap = Writer(
-                    self._file.stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD, enable_data_crcs=True
-                )
+                    cast(IO[bytes], self._file.stream), chunk_size=chunk_bytes, compression=CompressionType.ZSTD,
+                    enable_data_crcs=True,
+                )  # fmt: skip
                 self._mcap.start(profile=PROFILE, library=f"h3data schema {SCHEMA_VERSION}")
                 for name, values in metadata.items():
                     self._mcap.add_metadata(name, values)
@@ -216,14 +218,15 @@ class LogWriter:
         ``info`` is merged into ``episode.info``: facts known only at the end, such as how the episode ended.
 
         Raises:
-            InputError: the disk is full or fails; what was flushed stays as ``<name>.part``.
+            InputError: the disk is full or fails; what was flushed stays as ``<name>.part``. Call it again when there is space,
+                or `abort`.
         """
         if self.closed:
             return self.path
         if self._rows is None:
             self._rows = self._fix_layout({c.name: c.empty() for c in default_layout(self.header)})
-        try:
-            with self._file.writing():
+        with self._file.writing():
+            if not self._finished:
                 self._write_pending()
                 self._mcap.flush()
                 if info:  # readers keep the last metadata record of a name
@@ -231,9 +234,9 @@ class LogWriter:
                     self._mcap.add_metadata("h3.episode", episode_metadata(episode))
                 self._mcap.add_metadata("h3.end", {"steps": str(self.steps), "skills": str(self._spans)})
                 self._mcap.finish()
-                self._file.complete()
-        finally:
-            self._shut()
+                self._finished = True
+            self._file.complete()
+        self._shut()
         return self.path
 
     def abort(self, *, keep: bool = True) -> None:
@@ -242,8 +245,9 @@ class LogWriter:
             return
         try:
             with contextlib.suppress(OSError, ValueError):  # the disk may be full; earlier flushes can be recovered
-                self._write_pending()
-                self._mcap.finish()
+                if not self._finished:
+                    self._write_pending()
+                    self._mcap.finish()
                 self._file.stream.flush()
         finally:
             self._shut()
@@ -257,7 +261,10 @@ class LogWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if kind is None:
-            self.close()
+            try:
+                self.close()
+            finally:
+                self._shut()
         else:
             self.abort()
 
@@ -281,7 +288,7 @@ class LogWriter:
         self._file.shut()
 
     def _require_open(self) -> None:
-        if self.closed:
+        if self.closed or self._finished:
             raise InputError(f"This recording is closed; nothing can be added to it: {self.path}")
 
     def _open_channels(self) -> None:

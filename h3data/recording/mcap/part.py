@@ -10,6 +10,9 @@ from typing import IO
 
 from h3data.errors import InputError
 
+MOST_HELD = 1 << 20
+"""Bytes that wait for a `Backlog.flush` where the disk takes them."""
+
 
 def part_path(path: Path) -> Path:
     """Name of a file while it is being written."""
@@ -17,8 +20,50 @@ def part_path(path: Path) -> Path:
 
 
 def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
-    """A new file under its temporary name; tests replace this by disks that fill up."""
-    return open(part, "wb" if overwrite else "xb")
+    """A new file under its temporary name, without a buffer; tests replace this by disks that fill up."""
+    return open(part, "wb" if overwrite else "xb", buffering=0)  # type: ignore[return-value]
+
+
+class Backlog:
+    """A stream to a file that keeps what the disk does not take. `write` never fails; `flush` hands over what there is, and
+    goes on where it stopped when it is called again. What is in the file is always the beginning of what was written."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self._left, self._end = file, bytearray(), 0
+
+    def write(self, data: bytes) -> int:
+        self._left += data
+        self._end += len(data)
+        if len(self._left) >= MOST_HELD:
+            with contextlib.suppress(OSError):  # `flush` says so
+                self._hand_over()
+        return len(data)
+
+    def tell(self) -> int:
+        return self._end
+
+    def flush(self) -> None:
+        """
+        Raises:
+            OSError: the disk is full or fails.
+        """
+        self._hand_over()
+        self._file.flush()
+
+    def fileno(self) -> int:
+        return self._file.fileno()
+
+    def close(self) -> None:
+        self._file.close()
+
+    @property
+    def closed(self) -> bool:
+        return self._file.closed
+
+    def _hand_over(self) -> None:
+        while self._left:
+            taken = self._file.write(self._left)
+            del self._left[:taken]
 
 
 def publish(part: Path, final: Path) -> None:
@@ -45,7 +90,7 @@ class PartFile:
             self._refuse_existing(overwrite=overwrite)
         _make_folder(final.parent)
         with self.writing():
-            self.stream = open_part(self.path, overwrite=overwrite)
+            self.stream = Backlog(open_part(self.path, overwrite=overwrite))
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
@@ -61,10 +106,11 @@ class PartFile:
             ) from error
 
     def complete(self) -> None:
-        """Syncs everything to the disk and gives the file its final name."""
-        self.stream.flush()
-        os.fsync(self.stream.fileno())
-        self.stream.close()
+        """Syncs everything to the disk and gives the file its final name. After an `OSError` it can be called again."""
+        if not self.stream.closed:
+            self.stream.flush()
+            os.fsync(self.stream.fileno())
+            self.stream.close()
         publish(self.path, self.final)
 
     def shut(self) -> None:

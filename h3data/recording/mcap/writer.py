@@ -56,7 +56,7 @@ class RecordingWriter(LogWriter):
         ``info`` is merged into ``episode.info``: facts known only at the end, such as how the episode ended.
 
         Raises:
-            InputError: the disk is full or fails; what was flushed stays as ``<name>.part``.
+            InputError: as of `LogWriter.close`.
             FormatError: reading back shows that the storage did not keep what was written.
         """
         due = self._compact and not self.closed

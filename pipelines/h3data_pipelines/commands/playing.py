@@ -26,6 +26,7 @@ from h3data_pipelines.commands.serving import (
     ProxyFlag,
     run_server,
     say,
+    say_disk,
     serving_options,
 )
 
@@ -173,10 +174,10 @@ class Play:
         """Runs the server until it ends; returns the links of the seats and how the episodes ended."""
         links: list[list[str]] = []
         overs: list[dict[str, Any]] = []
-        run_server({"plan": self._plan(out), **self._serving()}, lambda report: self._heard(report, links, overs))
+        run_server({"plan": self._plan(out), **self._serving()}, lambda report: self._heard(report, links, overs, out))
         return links, overs
 
-    def _heard(self, report: dict[str, Any], links: list[list[str]], overs: list[dict[str, Any]]) -> None:
+    def _heard(self, report: dict[str, Any], links: list[list[str]], overs: list[dict[str, Any]], out: Path) -> None:
         if "refused" in report:
             raise InputError(report["refused"])
         if "ready" in report:
@@ -193,6 +194,8 @@ class Play:
             say(f"Episode {report['over']['episode']}: {report['over']['ended']}{more}")
         elif "lost" in report:
             say("A worker process ended; another one takes over.")
+        elif "disk" in report:
+            say_disk(report["disk"], out)
 
 
 def _recordings(out: Path) -> list[Path]:

@@ -155,3 +155,14 @@ def say(line: str) -> None:
     if not is_quiet():
         sys.stderr.write(line + "\n")
         sys.stderr.flush()
+
+
+def say_disk(disk: dict[str, Any], folder: Path) -> None:
+    """Says that the disk of a session's folder is full, or that there is space again."""
+    if disk["is_full"]:
+        say(
+            f"Nothing more can be written to {folder} ({disk['why']}). Who plays is told to wait, and nothing that was "
+            "recorded is lost. Make space: it goes on by itself."
+        )
+    else:
+        say("There is space on the disk again; the episodes go on.")

@@ -27,6 +27,7 @@ from h3data_pipelines.commands.serving import (
     ProxyFlag,
     run_server,
     say,
+    say_disk,
     serving_options,
 )
 
@@ -136,6 +137,8 @@ class StudyRun:
             say(f"{over['key']}: {over['ended']} after {counted(over['steps'], 'step')}{late}")
         elif "lost" in report:
             say("A worker process ended; another one takes over.")
+        elif "disk" in report:
+            say_disk(report["disk"], folder)
 
 
 def keep_design(folder: Path, design: Design) -> Design:

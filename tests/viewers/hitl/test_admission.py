@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import subprocess
 import time
 from collections.abc import Awaitable, Callable, Sequence
@@ -13,18 +14,23 @@ from typing import Any
 import aiohttp
 import msgspec
 import pytest
+from aiohttp import web
 from aiohttp.test_utils import TestServer, make_mocked_request
 from aiohttp.web import HTTPServiceUnavailable
 
 from h3data.errors import InputError
 from h3data_pipelines.commands.playing import Play
+from h3data_viewers.hitl import connections
+from h3data_viewers.hitl import front as fronts
 from h3data_viewers.hitl.bots.client import Client
 from h3data_viewers.hitl.connections import Live, is_known
-from h3data_viewers.hitl.front import Front
+from h3data_viewers.hitl.front import AWAY_S, LOADING_S, Front
 from h3data_viewers.hitl.messages import Ping, decode
 from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.seats import Journal
 from h3data_viewers.hitl.serve import certificate_names
 from h3data_viewers.hitl.workers import EXPECTED_SHARE, Refused, WorkerProcess
+from tests.viewers.hitl.bot import Bot
 from tests.viewers.hitl.server import Server
 
 
@@ -290,3 +296,106 @@ def test_the_server_goes_by_the_names_that_it_is_given(tmp_path: Path):
             200,
             421,
         ]
+
+
+# --- seats that nobody is connected to --------------------------------------------------------------------------------
+class Clock:
+    """A clock that is set by hand."""
+
+    now = 1e5
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.mark.parametrize("open_door", [False, True])
+def test_a_seat_that_nobody_is_connected_to_can_be_taken_over(tmp_path: Path, open_door: bool):
+    clock = Clock()
+
+    async def what(table: Table) -> None:
+        link = table.link if open_door else f"{table.link}s/{table.front.journal.links[0]}/"
+        async with Bot(link) as first, Bot(link) as second:
+            clock.now += AWAY_S
+            assert await first.sit() == 200, "whoever had the seat is not connected"
+            assert await second.sit() == 409, "the home is loading there"
+            await first.connect()
+            assert await second.sit() == 409
+            assert "Close the page there" in second.told[-1]["refused"]
+            assert await first.sit() == 200
+            await first.close()
+            clock.now += LOADING_S - 1
+            assert await second.sit() == 409, "the page is loaded again"
+            await first.connect()
+            await first.close()
+            await asyncio.sleep(0.05)
+            if open_door:
+                assert await second.sit() == 409, "a connection may be lost for a moment"
+                clock.now += AWAY_S
+            assert await second.sit() == 200
+            await second.connect()
+            assert len(table.front.journal.seats) == 1
+            assert await first.sit() == 409
+            await first.connect()
+            await first.until(lambda: first.close_code == 4001)
+            assert second.close_code is None
+            again = Journal(tmp_path)
+            assert again.seats.keys() == table.front.journal.seats.keys()
+            assert again.seats[second.address.rpartition("/")[2]].game == table.game.key, "the episode goes on"
+
+    at_a_table(tmp_path, what, clock=clock, open_door=open_door)
+
+
+# --- connections on which nothing happens -----------------------------------------------------------------------------
+def test_half_open_connections_are_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(connections, "IDLE_S", 0.5)
+    monkeypatch.setattr(connections, "ANSWER_S", 0.5)
+    monkeypatch.setattr(connections, "LINGER_S", 0.5)
+    monkeypatch.setattr(fronts, "BODY_S", 0.5)
+    monkeypatch.setattr(fronts, "PING_S", 0.4)
+
+    async def main() -> None:
+        table = Table(tmp_path)
+        table.front.preparer.files["home.glb"] = bytes(30_000_000), "model/gltf-binary"
+        runner = connections.runner_of(table.front.application())
+        await runner.setup()
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        port = runner.addresses[0][1]
+        host, cookie = f"Host: localhost:{port}\r\n", f"Cookie: {table.cookies['Cookie']}\r\n"
+
+        async def raw(text: str, *, slowly: bool = False, reads: bool = True) -> float:
+            """Sends something and waits for the end; returns after how long it came."""
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1024)
+            begun = time.monotonic()
+            with contextlib.suppress(ConnectionError):
+                for byte in text if slowly else ():
+                    writer.write(byte.encode())
+                    await asyncio.sleep(0.05)
+                writer.write(b"" if slowly else text.encode())
+                while reads and await reader.read(100):
+                    pass
+                while not reads and runner.server.connections:  # type: ignore[union-attr]
+                    await asyncio.sleep(0.05)
+            writer.close()
+            return time.monotonic() - begun
+
+        get = f"GET /world/home.glb HTTP/1.1\r\n{host}"
+        post = f"POST /api/session HTTP/1.1\r\n{host}{cookie}Content-Type: application/json\r\nContent-Length: 100\r\n\r\n{{"
+        upgrade = (
+            f"GET /play/{table.seat.sid} HTTP/1.1\r\n{host}{cookie}Upgrade: websocket\r\nConnection: Upgrade\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+        )
+        cases = [raw(""), raw("POST /api/ses"), raw("GET /" + "a" * 20, slowly=True), raw(post), raw(upgrade)]
+        taken = await asyncio.wait_for(asyncio.gather(*cases), 8.0)
+        for seconds in [*taken, await asyncio.wait_for(raw(f"{get}\r\n", reads=False), 5.0)]:
+            assert seconds < 5.0
+        assert table.heard == ["here", "here"], "the player came and went"
+        async with (
+            aiohttp.ClientSession(headers=table.cookies) as http,
+            http.ws_connect(f"http://localhost:{port}/play/{table.seat.sid}") as socket,
+        ):
+            with pytest.raises(TimeoutError):  # one that answers pings stays
+                await socket.receive(1.5)
+            assert not socket.closed
+        await runner.cleanup()
+
+    asyncio.run(main())

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import ipaddress
 import json
 import re
+import socket
 import struct
 import time
 from collections import deque
@@ -21,6 +23,10 @@ from h3data_viewers.hitl.workers import WorkerProcess
 QUEUE = 90
 """States that may wait for a slow client; older ones are dropped (each is whole but for objects at rest)."""
 SEND_S = 20.0
+IDLE_S, BODY_S, LINGER_S, ANSWER_S, PING_S = 30.0, 20.0, 2.0, 60.0, 10.0
+"""A connection is closed when no request comes within ``IDLE_S``, when one has begun and does not end within ``BODY_S`` (and
+``LINGER_S``, so that the other side may read why), when nothing of an answer is taken for ``ANSWER_S``, or when a
+socket answers no ping within one and a half times ``PING_S``."""
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::[0-9]*)?")
 """A Host header: a name or address, in brackets if it is one of IPv6, and a port."""
 HEADERS = {
@@ -93,14 +99,17 @@ class Failed(Exception):
     """A game could not begin."""
 
 
+class Stuck(Failed):
+    """A game cannot begin now, but it will as soon as it can; the text is for players."""
+
+
+def runner_of(app: web.Application) -> web.AppRunner:
+    """What serves an application, and closes connections on which nothing happens."""
+    return web.AppRunner(app, access_log=None, shutdown_timeout=0.5, keepalive_timeout=IDLE_S, lingering_time=LINGER_S)
+
+
 def pong(client_ms: float) -> bytes:
     return struct.pack("<B7xdd", 2, client_ms, time.monotonic() * 1e3)
-
-
-def swallow(task: asyncio.Task[None]) -> None:
-    """A socket that breaks while something is sent ends its reader too; nothing to report."""
-    if not task.cancelled():
-        task.exception()
 
 
 def require_own_origin(request: web.Request) -> None:
@@ -149,6 +158,10 @@ def require_known_host(names: Iterable[str]) -> Any:
 
 @web.middleware
 async def strict(request: web.Request, handler: Any) -> web.StreamResponse:
+    found = None if request.transport is None else request.transport.get_extra_info("socket")
+    if found is not None and hasattr(socket, "TCP_USER_TIMEOUT"):  # whoever takes nothing of the answer is hung up on
+        with contextlib.suppress(OSError):
+            found.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(ANSWER_S * 1e3))
     try:
         response = await handler(request)
     except web.HTTPException as error:

@@ -6,8 +6,11 @@ import asyncio
 import contextlib
 import hashlib
 import ipaddress
+import math
+import sqlite3
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +18,16 @@ import msgspec
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from h3data_viewers.hitl.connections import (
+    BODY_S,
+    PING_S,
     Connection,
     Failed,
     Live,
+    Stuck,
     pong,
     require_known_host,
     require_own_origin,
     strict,
-    swallow,
 )
 from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode, read_json
 from h3data_viewers.hitl.plan import GameOrder, PlayPlan, recording_name
@@ -36,6 +41,9 @@ CAN_S = 0.09
 asks every 120 ms."""
 MOST_BUSY = 0.7
 """Share of a core that a worker's games may take: beyond it a further one would slow down all others."""
+AGAIN_S, SAY_S = 1.0, 60.0
+"""What cannot be written to the database is tried again so soon, and the operator is told so often."""
+NO_ROOM = "The server's disk is full. Nothing that you have done before is lost; try again in a minute."
 MOST_SPECTATORS = 20
 MOST_AHEAD = 4
 """Episodes that are prepared while others are played."""
@@ -43,6 +51,11 @@ SEAT_S = 86400
 """A browser keeps its seat for so long."""
 SEATS_PER_ADDRESS = 12
 """Seats that one network address may have at once: a class in a lab, not a flood."""
+LOADING_S = 60.0
+"""Who has taken a seat and does not connect, because the home is still loading, keeps it for so long."""
+AWAY_S = 20.0
+"""Where there is no key, a browser that was connected keeps its seat for so long; with the link's key another one may have it
+at once."""
 BEGIN_S, POST_BYTES = 90.0, 64 * 1024
 ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
 
@@ -56,6 +69,12 @@ def network(address: str) -> str:
     if isinstance(parsed, ipaddress.IPv4Address):
         return str(parsed)
     return str(parsed.ipv4_mapped or ipaddress.ip_network((parsed, 64), strict=False))
+
+
+def _sent(request: web.Request, task: asyncio.Task[None]) -> None:
+    """Nothing more is sent to a socket. One that took nothing for long, or broke, ends its reader too."""
+    if not task.cancelled() and task.exception() is not None and request.transport is not None:
+        request.transport.abort()
 
 
 class Front:
@@ -97,13 +116,28 @@ class Front:
         self.seats_per_address, self.behind_proxy, self.hosts = seats_per_address, behind_proxy, hosts
         self._addresses: dict[str, set[str]] = {}
         """Seats by address; in memory only: addresses of people are not stored."""
+        self._stuck: dict[str, str] = {}
+        """Games that wait for space on the disk, with a sentence for their players."""
+        self._begun_before = set(self.journal.games)
+        """Games that other processes have begun, which may have come to their end."""
+        self._said_full = -math.inf
+        """When the operator was told last that the database cannot be written."""
+        self._loading: dict[str, float] = {}
+        """When seats were given to browsers that have not connected since, by the clock."""
+        self._gone: dict[str, float] = {}
+        """When browsers were last connected to their seats, if not since this server began."""
+        self._began = clock()
+        self._left: set[str] = set()
+        """Seats that other browsers have now, under other names."""
         self.finishes = True
         """Whether recordings are finished when the server stops; else the next server goes on with them."""
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
         """What aiohttp serves."""
-        app = web.Application(client_max_size=POST_BYTES, middlewares=[strict, require_known_host(self.hosts)])
+        app = web.Application(
+            client_max_size=POST_BYTES, middlewares=[strict, require_known_host(self.hosts), self._with_room]
+        )
         for prefix in ("", "/s/{key}"):
             app.router.add_get(prefix + "/", self.page)
             app.router.add_post(prefix + "/api/session", self.sit)
@@ -161,14 +195,21 @@ class Front:
         if seat is None:
             self._require_room_at(request)
             token = new_token()
-            seat = self._new_seat(token, number)
+            seat = self._new_seat(token, number, has_key="key" in request.match_info)
             self._note_address(request, seat)
         live = self._game_for(seat)
+        self._loading[seat.sid] = self.clock()
+        if live.game.key in self._stuck and not live.begun.done():
+            raise web.HTTPServiceUnavailable(text=self._stuck[live.game.key])
         try:
             begun = await asyncio.wait_for(asyncio.shield(live.begun), BEGIN_S)
         except TimeoutError:
             raise web.HTTPServiceUnavailable(text="The home could not be set up in time. Try again.") from None
+        except Stuck as fault:
+            raise web.HTTPServiceUnavailable(text=str(fault)) from None
         except Failed as fault:
+            if live.game.over != "failed":  # the server was killed before it had noted the end
+                raise web.HTTPServiceUnavailable(text="This episode is over.") from None
             raise web.HTTPInternalServerError(text=f"The session could not begin: {fault}") from None
         manifest = {**begun["manifest"], "me": self._agent(seat, begun)}
         body = {"manifest": manifest, "glb": begun["glb"], "socket": f"play/{seat.sid}"}
@@ -191,7 +232,11 @@ class Front:
         if request.content_type != "application/json":
             raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
         try:
-            return read_json(await request.read(), msgspec.json.Decoder(kind))
+            async with asyncio.timeout(BODY_S):
+                text = await request.read()
+            return read_json(text, msgspec.json.Decoder(kind))
+        except TimeoutError:
+            raise web.HTTPRequestTimeout(text="The request did not come to its end.") from None
         except msgspec.MsgspecError as fault:
             raise web.HTTPBadRequest(text=f"The request is not what was expected: {fault}") from None
 
@@ -210,21 +255,37 @@ class Front:
         name = hashlib.sha256(self.journal.links[number].encode()).hexdigest()[:8]
         return f"h3data_seat_{name}"
 
-    def _new_seat(self, token: str, number: int) -> Seat:
+    def _new_seat(self, token: str, number: int, *, has_key: bool) -> Seat:
         if self.plan.seats[number] == "spectator":
             if sum(seat.number == number for seat in self.journal.seats.values()) >= MOST_SPECTATORS:
                 raise web.HTTPServiceUnavailable(text="There are too many spectators already.")
             return self.journal.sit(token, 0, number)
         if self.tables == 1:
-            if self.journal.taken(0, number) is not None:
-                raise web.HTTPConflict(text="Somebody plays here already, in another browser.")
-            return self.journal.sit(token, 0, number)
+            seat = self.journal.taken(0, number)
+            if seat is None:
+                return self.journal.sit(token, 0, number)
+            if self._is_attended(seat, 0.0 if has_key else AWAY_S):
+                raise web.HTTPConflict(
+                    text="Somebody plays here already, in another browser. Close the page there and try again here."
+                )
+            self._left.add(seat.sid)
+            return self.journal.hand_over(seat, token)
         places = {seat.place for seat in self.journal.seats.values()}
         going = sum(not game.over for game in self.journal.games.values())
         if going >= self.tables:
             raise web.HTTPServiceUnavailable(text="All places are taken. Try again in a minute.")
         self._require_capacity()
         return self.journal.sit(token, max(places, default=-1) + 1, number)
+
+    def _is_attended(self, seat: Seat, away_s: float) -> bool:
+        """Whether a seat's browser is connected, has been within the last ``away_s`` [s], or may just be loading the home."""
+        now = self.clock()
+        if (
+            now - self._loading.get(seat.sid, -LOADING_S) < LOADING_S
+            or now - self._gone.get(seat.sid, self._began) < away_s
+        ):
+            return True
+        return any(seat.sid in live.sockets for live in self.lives.values())
 
     def _require_capacity(self) -> None:
         if not self.workers.active or self.workers.least_busy().with_one_more > MOST_BUSY:
@@ -300,7 +361,8 @@ class Front:
 
     def _send_order(self, live: Live, worker: WorkerProcess, order: GameOrder) -> None:
         made = self.preparer.made(order)
-        order = msgspec.structs.replace(order, facts=None if made is None else made["facts"])
+        resumes = live.game.key in self._begun_before
+        order = msgspec.structs.replace(order, facts=None if made is None else made["facts"], resumes=resumes)
         worker.send("begin", live.game.key, msgspec.to_builtins(order))
 
     def _order(self, game: Game) -> GameOrder:
@@ -313,7 +375,28 @@ class Front:
 
     # --- from workers -------------------------------------------------------------------------------------------------
     def heard(self, worker: WorkerProcess, kind: str, key: str, body: Any) -> None:
-        """A letter of a worker about a game."""
+        """A letter of a worker about a game. One that cannot be written down now is read again."""
+        try:
+            self._hear(worker, kind, key, body)
+        except sqlite3.OperationalError as fault:
+            self._say_full(fault)
+            asyncio.get_running_loop().call_later(AGAIN_S, self.heard, worker, kind, key, body)
+
+    def _say_full(self, fault: sqlite3.OperationalError) -> None:
+        if self.clock() - self._said_full > SAY_S:
+            self._said_full = self.clock()
+            self.report({"disk": {"is_full": True, "why": str(fault)}})
+
+    @web.middleware
+    async def _with_room(self, request: web.Request, handler: Any) -> web.StreamResponse:
+        """What cannot be written down has not happened (`Journal`), and whoever asked for it is told so."""
+        try:
+            return await handler(request)
+        except sqlite3.OperationalError as fault:
+            self._say_full(fault)
+            raise web.HTTPServiceUnavailable(text=NO_ROOM) from None
+
+    def _hear(self, worker: WorkerProcess, kind: str, key: str, body: Any) -> None:
         if kind == "prepared":
             self.preparer.heard(key, body)
             return
@@ -329,7 +412,12 @@ class Front:
             for connection in live.sockets.values():
                 if connection.agent == body[0]:
                     connection.tell(body[1])
+        elif kind == "stuck":
+            self._waits(live, body)
+        elif kind == "free":
+            self._waits_no_more(key)
         elif kind == "begun":
+            self._waits_no_more(key)
             made = self.preparer.made(self._order(live.game))
             assert made is not None, "it comes before"
             live.begun.set_result({**made, **body})
@@ -338,9 +426,24 @@ class Front:
         elif kind == "over":
             self._over(live, body)
 
+    def _waits(self, live: Live, body: dict[str, str]) -> None:
+        """The disk has no room for what a game has played, or for its beginning."""
+        if not self._stuck:
+            self.report({"disk": {"is_full": True, "why": body["why"]}})
+        self._stuck[live.game.key] = body["text"]
+        if not live.begun.done():
+            live.begun.set_exception(Stuck(body["text"]))
+            live.begun.exception()  # nobody may be waiting for it
+            live.begun = asyncio.get_running_loop().create_future()
+
+    def _waits_no_more(self, key: str) -> None:
+        if self._stuck.pop(key, None) is not None and not self._stuck:
+            self.report({"disk": {"is_full": False, "why": ""}})
+
     def _over(self, live: Live, over: dict[str, Any]) -> None:
         if live.game.over:
             return
+        self._waits_no_more(live.game.key)
         self.journal.end(live.game, over["ended"])
         live.worker.games.discard(live.game.key)
         is_last = self._is_last()
@@ -371,6 +474,8 @@ class Front:
         lives = [live for live in self.lives.values() if live.worker is worker]
         loop = asyncio.get_running_loop()
         for live in lives:
+            self._begun_before.add(live.game.key)
+            self._stuck.pop(live.game.key, None)  # the next worker says so again
             if live.begun.done():
                 live.begun = loop.create_future()
         self._moving = asyncio.create_task(self._move(lives))
@@ -390,10 +495,15 @@ class Front:
         number = self._seat_number(request)
         seat = self.journal.seats.get(request.match_info["sid"])
         token = request.cookies.get(self._cookie(number), "")
+        if request.match_info["sid"] in self._left:
+            socket = web.WebSocketResponse(timeout=2.0)
+            await socket.prepare(request)
+            await socket.close(code=ELSEWHERE, message=b"opened elsewhere")
+            return socket
         if seat is None or seat.number != number or self.journal.owner(token, number) is not seat:
             raise web.HTTPForbidden(text="This is not your seat.")
         game = self.journal.games.get(seat.game)
-        socket = web.WebSocketResponse(compress=False, max_msg_size=MOST_BYTES, heartbeat=10.0, timeout=2.0)
+        socket = web.WebSocketResponse(compress=False, max_msg_size=MOST_BYTES, heartbeat=PING_S, timeout=2.0)
         await socket.prepare(request)
         if game is None or game.over:
             await socket.close(code=GONE, message=b"the session has ended")
@@ -413,13 +523,15 @@ class Front:
                 await asyncio.wait_for(before_closes, 1.0)
         live.worker.send("here", game.key, {"agent": connection.agent, "here": True})
         sending = asyncio.create_task(connection.send())
-        sending.add_done_callback(swallow)
+        sending.add_done_callback(partial(_sent, request))
+        self._loading.pop(seat.sid, None)
         try:
             await self._listen(live, connection, socket)
         finally:
             sending.cancel()
             if live.sockets.get(seat.sid) is connection:
                 del live.sockets[seat.sid]
+                self._gone[seat.sid] = self.clock()
                 if not any(c.agent == connection.agent for c in live.sockets.values()) and not game.over:
                     live.worker.send("here", game.key, {"agent": connection.agent, "here": False})
         return socket

@@ -3,8 +3,9 @@ letter."""
 
 from __future__ import annotations
 
+import errno
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,17 @@ import msgspec
 import numpy as np
 
 from h3data.errors import H3DataError, InputError
-from h3data.recording import STEP_NS, InputEvent, Recording, RecordingWriter, read_mcap, recover_mcap
+from h3data.recording import (
+    STEP_NS,
+    Event,
+    InputEvent,
+    Recording,
+    RecordingHeader,
+    RecordingWriter,
+    SkillSpan,
+    read_mcap,
+    recover_mcap,
+)
 from h3data.recording.live_input import CLIENT, CONNECTED, DISCONNECTED, SLIP, rtt_column, seq_column
 from h3data.scene import FreeSpace
 from h3data_viewers.hitl.app import App, find_app
@@ -30,6 +41,58 @@ from sim_kinematic.tasks.runner import Session, StepResult
 from sim_kinematic.tasks.sources import EpisodeSource
 
 MOST_RTT_MS = 1e6
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
+
+
+def disk_fault(fault: BaseException | None) -> str:
+    """What is wrong with the disk, where that is behind an error; else empty."""
+    while fault is not None:
+        if isinstance(fault, OSError) and fault.errno in FULL:
+            return fault.strerror or str(fault)
+        fault = fault.__cause__ or fault.__context__
+    return ""
+
+
+class PatientSink:
+    """Where a live game is recorded. What the disk does not take waits in the writer, and the game for it."""
+
+    def __init__(self, writer: RecordingWriter) -> None:
+        self.writer, self.fault = writer, ""
+        """``fault``: why the disk does not take what waits; empty while it does."""
+        self._info: dict[str, Any] | None = None
+
+    def append(self, rows: dict[str, Any]) -> None:
+        self._try(partial(self.writer.append, rows))
+
+    def event(self, event: Event) -> None:
+        self.writer.event(event)
+
+    def skill(self, span: SkillSpan) -> int:
+        return self.writer.skill(span)
+
+    def input(self, event: InputEvent) -> None:
+        self.writer.input(event)
+
+    def close(self, *, info: dict[str, Any]) -> None:
+        self._info = info
+        self.retry()
+
+    def abort(self) -> None:
+        self.writer.abort()
+
+    def retry(self) -> None:
+        """Hands over what waits."""
+        info = self._info
+        self._try(self.writer.flush if info is None else partial(self.writer.close, info=info))
+
+    def _try(self, act: Callable[[], object]) -> None:
+        try:
+            act()
+            self.fault = ""
+        except InputError as fault:
+            if not isinstance(fault.__cause__, OSError):
+                raise
+            self.fault = fault.__cause__.strerror or str(fault.__cause__)
 
 
 class Table:
@@ -77,24 +140,62 @@ class Table:
         """Samples episode ``index``."""
         return self.source.sample(self.plan.seed, index)
 
+    def finished(self, order: GameOrder) -> dict[str, Any] | None:
+        """How an episode ended of which the whole recording is there already; else None."""
+        path = Path(self.plan.out, order.name + ".mcap")
+        if not path.exists() or path.with_name(path.name + ".part").exists():
+            return None
+        recording = read_mcap(path)
+        info = recording.episode.info
+        return {
+            "ended": info["ended"], "steps": len(recording), "slipped": info["hitl"]["slipped"], "step_ms": None,
+            "path": str(path), "share_in": self.plan.out, "texts": {},
+        }  # fmt: skip
+
     def begin(self, order: GameOrder) -> LiveGame:
         """Begins an episode, or goes on with one of which an unfinished log is there."""
         path = Path(self.plan.out, order.name + ".mcap")
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(path.name + ".part")
-        if not part.exists():
-            return LiveGame(self, order.index, path, order)
-        saved = path.with_name(f".{path.name}.saved.mcap")
-        try:
-            recover_mcap(part, saved, overwrite=True)
-            recording = read_mcap(saved)
-        except H3DataError:  # killed before anything was written
-            os.replace(part, part.with_name(part.name + ".broken"))
-            return LiveGame(self, order.index, path, order)
+        part, saved = path.with_name(path.name + ".part"), path.with_name(f".{path.name}.saved.mcap")
+        recording = _unfinished(part, saved)
         game = LiveGame(self, order.index, path, order)
-        game.play_again(recording)
-        saved.unlink()
+        if recording is not None:
+            game.play_again(recording)
+            game.leftover = saved
+            game.retry()
         return game
+
+
+def _unfinished(part: Path, saved: Path) -> Recording | None:
+    """What has been played of an episode that was not finished, kept in ``saved`` until it is in the log again: from the log,
+    or from an earlier attempt that did not come to its end.
+
+    Raises:
+        InputError: there is no room to save it.
+    """
+    found, again = _read(saved), saved.with_name(f"{saved.stem}.again.mcap")
+    if part.exists():
+        try:
+            recover_mcap(part, again, overwrite=True)
+        except H3DataError as fault:
+            if disk_fault(fault):
+                raise
+            if found is None:  # killed before anything was written
+                os.replace(part, part.with_name(part.name + ".broken"))
+        else:
+            log = read_mcap(again)
+            if found is None or len(log) > len(found):
+                found = log
+                os.replace(again, saved)
+            again.unlink(missing_ok=True)
+    return found
+
+
+def _read(path: Path) -> Recording | None:
+    try:
+        return read_mcap(path) if path.exists() else None
+    except H3DataError:
+        return None
 
 
 class LiveGame:
@@ -107,13 +208,17 @@ class LiveGame:
         if plan.partner not in (None, "solo"):
             others = {k: m.name for k, m in enumerate(episode.roster) if k not in table.numbers}
             policies |= {name: table.partner_of(episode, k) for k, name in others.items()}
-        sink = None
-        if path is not None:
+        self.sink: PatientSink | None = None
+        self.leftover: Path | None = None
+        """What the game began from, until that is in its own log."""
+
+        def sink(header: RecordingHeader) -> PatientSink:
             # one home is stored once for all episodes that are played in it
             # and the file is packed by a process in which nobody plays (`Worker.pack`)
-            sink = lambda header: RecordingWriter(  # noqa: E731
-                path, header, overwrite=True, share_in=plan.out, compact=False
-            )
+            assert path is not None
+            self.sink = PatientSink(RecordingWriter(path, header, overwrite=True, share_in=plan.out, compact=False))
+            return self.sink
+
         info: dict[str, Any] = {"hitl": {"app": plan.app, "seats": list(plan.seats), "protocol": VERSION}}
         if plan.speed != 1:
             info["hitl"]["speed"] = plan.speed
@@ -122,7 +227,9 @@ class LiveGame:
         self.index, self.path, self.share_in, self.slipped = index, path, plan.out, 0
         if order is not None and order.facts:
             table.task.recall(episode, order.facts)
-        self.session = Session(table.task, episode, policies, sink=sink, episode_id=str(index), info=info)
+        self.session = Session(
+            table.task, episode, policies, sink=None if path is None else sink, episode_id=str(index), info=info
+        )
         self.app: App = table.app()
         self.app.reset(self.session)
         self.drivers: dict[int, Driver] = {k: self.app.driver(k) for k in table.numbers}
@@ -137,6 +244,27 @@ class LiveGame:
         """What ended the episode."""
         self._barriers: dict[int, tuple[FreeSpace, bytes, list[list[int]]]] = {}
         """What players have to open by agent, with the floor and the state of doors and hands for which it was found."""
+
+    # --- the disk -----------------------------------------------------------------------------------------------------
+    @property
+    def fault(self) -> str:
+        """Why the disk does not take what has been played; empty while it does."""
+        return "" if self.sink is None else self.sink.fault
+
+    def retry(self) -> None:
+        """Hands everything that has been played to the disk, also the end of a game that has been closed."""
+        if self.sink is not None:
+            self.session.recorder.flush()
+            self.sink.retry()
+        if self.leftover is not None and not self.fault:
+            self.leftover.unlink(missing_ok=True)
+            self.leftover = None
+
+    def abort(self) -> None:
+        """Leaves the game as the log that is on the disk, for a later server."""
+        self.session.abort()
+        if self.sink is not None:
+            self.sink.abort()
 
     # --- from players -------------------------------------------------------------------------------------------------
     def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
@@ -223,7 +351,8 @@ class LiveGame:
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:
-        """Finishes the recording; None, and no file, where no step was played."""
+        """Finishes the recording; None, and no file, where no step was played. It has its final name once there is no
+        `fault`."""
         session = self.session
         if len(session.recorder) == 0:
             session.recorder.abort()

@@ -73,6 +73,8 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     """What else its recording says (``info``)."""
     hitl: dict[str, Any] = {}
     """What else its recording says in ``info["hitl"]``."""
+    resumes: bool = False
+    """Whether another process may have played some of it, or all."""
     facts: dict[str, Any] | None = None
     """What the process that has prepared the episode found out about it (`Task.foresight`); None: nobody has prepared it."""
 

@@ -67,7 +67,7 @@ def token_digest(token: str) -> str:
 
 @dataclass
 class Journal:
-    """Seats and games of a folder, in memory and in its SQLite file."""
+    """Seats and games of a folder, in memory and in its SQLite file. What the disk does not take is not in memory either."""
 
     folder: Path
     name: str = JOURNAL
@@ -98,33 +98,42 @@ class Journal:
     def make_links(self, count: int) -> None:
         """A secret for each of so many seats, unless the folder has them."""
         for number in range(len(self.links), count):
-            self.links.append(secrets.token_urlsafe(9))
-            self._db.execute("insert into links values (?, ?)", (number, self.links[number]))
+            link = secrets.token_urlsafe(9)
+            self._db.execute("insert into links values (?, ?)", (number, link))
+            self.links.append(link)
 
     def sit(self, token: str, place: int, number: int) -> Seat:
         """A new seat for the browser that will hold ``token``."""
         seat = Seat(secrets.token_hex(8), token_digest(token), place, number, "")
-        self.seats[seat.sid] = seat
         self._db.execute("insert into seats values (?, ?, ?, ?, ?)", (seat.sid, seat.token, place, number, ""))
+        self.seats[seat.sid] = seat
         return seat
+
+    def hand_over(self, seat: Seat, token: str) -> Seat:
+        """The seat for another browser, that which will hold ``token``: with another name, so that the one before has none."""
+        new = Seat(secrets.token_hex(8), token_digest(token), seat.place, seat.number, seat.game)
+        self._db.execute("update seats set sid = ?, token = ? where sid = ?", (new.sid, new.token, seat.sid))
+        del self.seats[seat.sid]
+        self.seats[new.sid] = new
+        return new
 
     def assign(self, seat: Seat, game: Game) -> None:
         """Notes which game a seat belongs to now."""
-        seat.game = game.key
         self._db.execute("update seats set game = ? where sid = ?", (game.key, seat.sid))
+        seat.game = game.key
 
     def begin(self, place: int) -> Game:
         """The next episode, at a table."""
         episode = len(self.games)
         game = Game(f"{episode:06d}", place, episode)
-        self.games[game.key] = game
         self._db.execute("insert into games values (?, ?, ?, ?)", (game.key, place, episode, ""))
+        self.games[game.key] = game
         return game
 
     def end(self, game: Game, why: str) -> None:
         """Notes that a game is over."""
-        game.over = why
         self._db.execute("update games set over = ? where key = ?", (why, game.key))
+        game.over = why
 
     def open_game(self, place: int) -> Game | None:
         """The game that goes on at a table."""

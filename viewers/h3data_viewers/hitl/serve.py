@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import os
 import signal
+import sqlite3
 import ssl
 import sys
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import msgspec
 from aiohttp import web
 
+from h3data_viewers.hitl.connections import runner_of
 from h3data_viewers.hitl.front import SEATS_PER_ADDRESS, Front
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.study.design import StudyPlan
@@ -101,7 +103,7 @@ async def serve(options: ServeOptions, report: Any) -> int:
         front = Front(options.plan, tables=options.tables, **given)
     starting, stopped = asyncio.ensure_future(front.workers.start()), asyncio.ensure_future(stops.wait())
     await asyncio.wait((starting, stopped), return_when=asyncio.FIRST_COMPLETED)
-    runner = web.AppRunner(front.application(), access_log=None, shutdown_timeout=0.5)
+    runner = runner_of(front.application())
     try:
         if starting.done():
             starting.result()
@@ -157,6 +159,9 @@ def main() -> int:
         return asyncio.run(serve(options, report))
     except Refused as fault:
         report({"refused": str(fault)})
+        return 2
+    except sqlite3.OperationalError as fault:
+        report({"refused": f"The folder of the session cannot be written ({fault}). Is its disk full?"})
         return 2
     except KeyboardInterrupt:
         return 130

@@ -23,11 +23,11 @@ from typing import Any
 import msgspec
 
 from h3data.errors import H3DataError, InputError
-from h3data.recording import pack_mcap, write_mcap
+from h3data.recording import Recording, pack_mcap, write_mcap
 from h3data.scene.articulation import joints_of
 from h3data_viewers.hitl import assets
 from h3data_viewers.hitl.channel import Channel, Closed
-from h3data_viewers.hitl.live import LiveGame, Table
+from h3data_viewers.hitl.live import LiveGame, Table, disk_fault
 from h3data_viewers.hitl.messages import (
     PERIOD_S,
     Act,
@@ -61,6 +61,9 @@ MOST_AHEAD = 12
 """Homes of so many episodes are made before somebody plays in them."""
 REPORT_S = 1.0
 MEASURED_STEPS = 60
+DISK_S = 1.0
+"""What a full disk did not take is tried again this often."""
+DISK_FULL = "The disk of the server is full. The home stands still until there is space again; nothing is lost."
 HUD_S = 10.0
 """The time that is left is told this often."""
 
@@ -90,6 +93,10 @@ class Running:
     """What each player was last told to open first."""
     floors: dict[int, Any] = field(default_factory=dict)
     """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
+    is_stuck: bool = False
+    """Whether it waits for space on the disk, and the front knows."""
+    recording: Recording | None = None
+    """Once it is over; the disk may still have to take its end."""
     planned: dict[int, int] = field(default_factory=dict)
     """Step in which each player last asked to be led to a thing."""
 
@@ -99,8 +106,8 @@ class Running:
 
     @property
     def runs(self) -> bool:
-        """Whether all who play are there."""
-        return not self.over and all(number in self.here for number in self.game.drivers)
+        """Whether all who play are there, and the disk takes what they do."""
+        return not self.over and not self.is_stuck and all(number in self.here for number in self.game.drivers)
 
 
 class Worker:
@@ -117,6 +124,9 @@ class Worker:
         self._homes_ahead = self.homes_ahead()
         self._waiting: deque[tuple[str, dict[str, Any], float]] = deque()
         """Games that are to begin: key, order, since when."""
+        self._no_room: dict[str, dict[str, Any]] = {}
+        """Orders of games for whose beginning the disk has no room."""
+        self._tried = time.monotonic()
 
     def table(self, number: int) -> Table:
         """The table of plan ``number``."""
@@ -178,7 +188,19 @@ class Worker:
                 self.begin_next()
             elif not letters and not any(running.runs for running in self.games.values()):
                 next(self._homes_ahead, None)
+            self.try_disk()
             self.report()
+
+    def try_disk(self) -> None:
+        """Lets games go on, end or begin that wait for space on the disk, if there is some."""
+        now = time.monotonic()
+        if now - self._tried < DISK_S:
+            return
+        self._tried = now
+        for running in [running for running in self.games.values() if running.is_stuck]:
+            self.guarded(running.key, Worker.go_on, None)
+        waiting = {key for key, *_ in self._waiting}
+        self._waiting += [(key, body, now) for key, body in self._no_room.items() if key not in waiting]
 
     def begin_next(self) -> None:
         """Begins the game that has waited longest, if no other is late: it takes three steps' time, and several at once would
@@ -210,6 +232,7 @@ class Worker:
         except Exception as fault:
             log.exception("game %s failed", key)
             running = self.games.pop(key, None)
+            self._no_room.pop(key, None)
             if running is not None:
                 running.game.session.abort()
             text = str(fault) if isinstance(fault, H3DataError) else f"{type(fault).__name__}: {fault}"
@@ -243,8 +266,15 @@ class Worker:
             try:
                 if not finish:
                     running.game.session.abort()
-                elif running.game.close() is not None:
-                    closed.append(running.game)
+                elif running.over or running.game.close() is not None:
+                    running.game.retry()
+                    if not running.game.fault:
+                        closed.append(running.game)
+                        continue
+                    log.warning(
+                        "%s is not finished (%s); the same command goes on with it", running.key, running.game.fault
+                    )
+                    running.game.abort()
             except Exception:
                 log.exception("game %s could not be closed", running.key)
         self.games.clear()
@@ -258,11 +288,49 @@ class Worker:
 
     def begin(self, key: str, body: dict[str, Any]) -> None:
         order = msgspec.convert(body, GameOrder)
-        if order.facts is None:
+        if order.facts is None and key not in self._no_room:
             self.prepare(prepared_key(order), {"plan": order.plan, "index": order.index})
-        game = self.table(order.plan).begin(order)
-        self.games[key] = Running(key, game)
+        try:
+            ended = self.table(order.plan).finished(order) if order.resumes else None
+            if ended is not None:  # its end had not been noted when the server was killed
+                self._no_room.pop(key, None)
+                self.channel.send("over", key, ended)
+                return
+            game = self.table(order.plan).begin(order)
+        except (H3DataError, OSError) as fault:
+            why = disk_fault(fault)
+            if not why:
+                raise
+            if key not in self._no_room:
+                self._no_room[key] = body
+                self.channel.send("stuck", key, {"why": why, "text": DISK_FULL})
+            return
+        self._no_room.pop(key, None)
+        running = self.games[key] = Running(key, game)
         self.channel.send("begun", key, {"steps": len(game.session.recorder)})
+        self._note_disk(running)
+
+    def _note_disk(self, running: Running) -> None:
+        """The disk does not take what has been played: the game stands still."""
+        if running.game.fault and not running.is_stuck:
+            running.is_stuck = True
+            self.channel.send("stuck", running.key, {"why": running.game.fault, "text": DISK_FULL})
+            self._tell_pause(running)
+
+    def go_on(self, key: str, body: Any) -> None:
+        """Tries again whether the disk takes what a game has left."""
+        del body
+        running = self.games[key]
+        running.game.retry()
+        if running.game.fault:
+            return
+        running.is_stuck = False
+        self.channel.send("free", key, {})
+        if running.over:
+            self._say_over(running)
+            return
+        running.due = self._free_time(running)
+        self._tell_pause(running, goes_on=True)
 
     def here(self, key: str, body: dict[str, Any]) -> None:
         """Somebody came or went. The world stands still until all who play are there."""
@@ -288,7 +356,7 @@ class Worker:
         """A message of a player, which waits for its step."""
         running = self.games.get(key)
         number, text, arrived = body
-        if running is None or running.over or len(running.waiting) >= MOST_WAITING:
+        if running is None or running.over or (len(running.waiting) >= MOST_WAITING and not running.is_stuck):
             return
         message = decode(text)
         assert isinstance(message, Act)
@@ -297,6 +365,11 @@ class Worker:
             self.finish(running)
             return
         now = len(running.game.session.recorder)
+        if running.is_stuck:  # nothing is done later that was asked for now; but which keys are down has to be known
+            if isinstance(message, Move):
+                others = (w for w in running.waiting if w[0] != number or not isinstance(w[2], Move))
+                running.waiting = deque([*others, (number, now, message, text, arrived)])
+            return
         step = now if message.step is None else min(message.step - 1, now + FARTHEST_STEPS)
         running.waiting.append((number, step, message, text, arrived))
 
@@ -349,6 +422,8 @@ class Worker:
             running.due += steps * self.period
         if game.ended:
             self.finish(running)
+        else:
+            self._note_disk(running)
         running.latest_s.append(time.process_time() - cpu)
 
     def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:
@@ -386,19 +461,30 @@ class Worker:
                 running.huds[number] = words
                 self.channel.send("told", running.key, [number, {"hud": msgspec.to_builtins(hud)}])
 
-    def _tell_pause(self, running: Running) -> None:
+    def _tell_pause(self, running: Running, *, goes_on: bool = False) -> None:
         """Tells those who are there what they wait for."""
-        if len(running.game.drivers) < 2 and -1 not in running.here:
+        if len(running.game.drivers) < 2 and -1 not in running.here and not running.is_stuck and not goes_on:
             return
-        text = "" if running.runs else "The world stands still until all players are here."
+        if running.is_stuck:
+            text = DISK_FULL
+        elif all(number in running.here for number in running.game.drivers):
+            text = ""
+        else:
+            text = "The world stands still until all players are here."
         for number in sorted(running.here):
             self.channel.send("told", running.key, [number, {"pause": text}])
 
     def finish(self, running: Running) -> None:
-        """Closes the recording and tells the players."""
+        """Closes the recording and tells the players, as soon as the disk has it."""
         running.over = True
-        game, steps = running.game, len(running.game.session.recorder)
-        recording = game.close()
+        running.recording = running.game.close()
+        if running.game.fault:
+            self._note_disk(running)
+        else:
+            self._say_over(running)
+
+    def _say_over(self, running: Running) -> None:
+        game, recording, steps = running.game, running.recording, len(running.game.session.recorder)
         del self.games[running.key]
         over = {
             "ended": recording.episode.info["ended"] if recording is not None else "closed",

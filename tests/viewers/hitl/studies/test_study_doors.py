@@ -18,6 +18,7 @@ from aiohttp.test_utils import TestServer
 
 from h3data.errors import InputError
 from h3data_pipelines.studies.running import keep_design
+from h3data_viewers.hitl.connections import Live
 from h3data_viewers.hitl.front import network
 from h3data_viewers.hitl.study.design import StudyPlan
 from h3data_viewers.hitl.study.files import DESIGN_FILE, make_plan, read_design
@@ -480,6 +481,60 @@ def test_a_study_that_stored_dates_goes_on_with_seconds(tmp_path: Path) -> None:
         )
         assert (second.progress.status, second.used, second.ended) == ("withdrawn", 600, 1600)
         assert first.progress.stage.key == "form/1/nasa_tlx"
+
+
+# --- a full disk ------------------------------------------------------------------------------------------------------
+def test_answers_wait_for_space_on_the_disk(tmp_path: Path) -> None:
+    """The database may have no more pages than it has: SQLite says what it says on a full disk."""
+
+    async def what(study: Study) -> None:
+        db, said = study.front.journal._db, []
+        person = await study.joined(PID)
+        study.front.report = said.append
+        who = study.front.journal.participants[1]
+        rows = dict(who.progress.rows)
+        ((pages,),) = db.execute("pragma page_count")
+        db.execute(f"pragma max_page_count = {pages}")
+        form = {"form": "long", "block": 0, "answers": {"words": "x" * 4000}}
+        for _ in range(2):
+            assert await person.ask("api/study/form", form) == 503
+            assert "disk is full" in person.told[-1]["refused"]
+            assert (who.progress.rows, who.progress.status, db.in_transaction) == (rows, "active", False)
+        study.serve(minutes=0.1)
+        assert said == [{"disk": {"is_full": True, "why": "database or disk is full"}}]
+        db.execute("pragma max_page_count = 4294967294")
+        assert await person.ask("api/study/form", form) == 200
+        assert person.stage["kind"] == "episode"
+        again = StudyStore(study.front.design, study.front.journal.places, tmp_path / "s", read_only=True)
+        assert again.participants[1].progress.rows == who.progress.rows
+
+    item = {"id": "words", "kind": "text", "text": "Anything?"}
+    run(tmp_path, what, forms=[{"id": "long", "after": "consent", "items": [item]}])
+
+
+def test_the_end_of_an_episode_is_written_when_there_is_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("h3data_viewers.hitl.front.AGAIN_S", 0.05)
+
+    async def what(study: Study) -> None:
+        person = await study.joined(PID)
+        who = study.front.journal.participants[1]
+        game = study.front.journal.begin_episode(who, f"{who.id}/episode/1/1")
+        worker = SimpleNamespace(games={game.key}, send=lambda *_: None)
+        begun = asyncio.get_running_loop().create_future()
+        begun.set_result({})
+        study.front.lives[game.key] = Live(game, worker, begun)  # type: ignore[arg-type]
+        over = {"ended": "success", "steps": 9, "slipped": 0, "step_ms": 1, "path": "", "share_in": "", "texts": {}}
+        study.front.journal._db.execute("pragma query_only = on")
+        study.front.heard(worker, "over", game.key, over)  # type: ignore[arg-type]
+        assert (game.over, who.progress.stage.key) == ("", "episode/1/1")
+        assert await person.ask("api/study") == 503
+        study.front.journal._db.execute("pragma query_only = off")
+        await asyncio.sleep(0.2)
+        assert (game.over, who.progress.stage.key) == ("success", "form/1/nasa_tlx")
+        again = StudyStore(study.front.design, study.front.journal.places, tmp_path / "s", read_only=True)
+        assert again.participants[1].progress.rows == who.progress.rows
+
+    run(tmp_path, what)
 
 
 # --- names of the server ----------------------------------------------------------------------------------------------

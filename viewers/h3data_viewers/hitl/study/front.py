@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hmac
+import sqlite3
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -260,8 +261,8 @@ class StudyFront(Front):
             pseudonym = ids.get("PROLIFIC_PID") or recruit_ids({"PROLIFIC_PID": token}, self._key)["PROLIFIC_PID"]
             agreed = {"version": self.design.consent.version, "sha256": body.hash}
             participant = self.journal.join(pseudonym, place, language=language, consent=agreed, ids=ids)
-            self._note_address(request, self.journal.move(participant, token))
             self._unchecked[participant.number] = self._address(request)
+            self._note_address(request, self.journal.move(participant, token))
             self.report({"joined": {"participant": pseudonym, "place": place}})
         return self._answer(request, self._view(participant), token)
 
@@ -288,11 +289,11 @@ class StudyFront(Front):
         body = await self._read(request, DeviceReport)
 
         def note(participant: Participant) -> dict[str, dict[str, Any]]:
-            rows = participant.progress.device(msgspec.to_builtins(body))
-            self._unchecked.pop(participant.number, None)
-            return rows
+            return participant.progress.device(msgspec.to_builtins(body))
 
-        return self._act(request, note)
+        answer = self._act(request, note)
+        self._unchecked.pop(self._required(request).number, None)
+        return answer
 
     async def form(self, request: web.Request) -> web.Response:
         """A form that has been filled in."""
@@ -349,11 +350,11 @@ class StudyFront(Front):
 
     def _act(self, request: web.Request, act: Callable[[Participant], dict[str, dict[str, Any]]]) -> web.Response:
         participant = self._required(request)
+        self.journal.saw(participant)
         try:
             rows = act(participant)
         except NotNow as fault:
             raise web.HTTPConflict(text=str(fault)) from None
-        self.journal.saw(participant)
         self._save(participant, rows)
         return self._answer(request, self._view(participant))
 
@@ -445,6 +446,8 @@ class StudyFront(Front):
         """Gives the seat to another browser; the one before is told so."""
         before = self.journal.seat_of(participant)
         self._note_address(request, self.journal.move(participant, token))
+        if before is not None:
+            self._left.add(before.sid)
         for live in list(self.lives.values()):
             connection = live.sockets.get(before.sid) if before is not None else None
             if connection is not None:
@@ -464,7 +467,7 @@ class StudyFront(Front):
                 raise web.HTTPConflict(text=str(fault)) from None
         return await super().sit(request)
 
-    def _new_seat(self, token: str, number: int) -> Seat:
+    def _new_seat(self, token: str, number: int, *, has_key: bool) -> Seat:
         raise web.HTTPConflict(text="This browser does not take part in the study yet. Reload the page.")
 
     def _is_taken(self, sid: str) -> bool:
@@ -506,8 +509,11 @@ class StudyFront(Front):
     async def _watch(self) -> None:
         while True:
             await asyncio.sleep(WATCH_S)
-            self.look_for_drop_outs()
-            self.release_unchecked(CHECK_S)
+            try:
+                self.look_for_drop_outs()
+                self.release_unchecked(CHECK_S)
+            except sqlite3.OperationalError as fault:
+                self._say_full(fault)
 
     def release_unchecked(self, seconds: float) -> None:
         """Forgets those whose computers have not been checked within so many seconds: their places and ids are free again."""

@@ -222,6 +222,26 @@ class StudyStore(Journal):
     def save(self, participant: Participant, rows: dict[str, dict[str, Any]]) -> None:
         """Writes new rows and the status, together."""
         self.count_time()
+        try:
+            self._save(participant, rows)
+        except sqlite3.Error:  # what is not on the disk has not happened
+            self._restore(participant)
+            raise
+
+    def _restore(self, participant: Participant) -> None:
+        """Brings a participant back to what is on the disk."""
+        progress = participant.progress
+        progress.rows.clear()
+        participant.times.clear()
+        for stage, at, data in self._db.execute(
+            "select stage, at, data from rows where participant = ? order by at, rowid", (participant.number,)
+        ):
+            progress.rows[stage], participant.times[stage] = msgspec.json.decode(data), at
+        ((progress.status, progress.reason, participant.ended),) = self._db.execute(
+            "select status, reason, ended from participants where number = ?", (participant.number,)
+        )
+
+    def _save(self, participant: Participant, rows: dict[str, dict[str, Any]]) -> None:
         now, progress = time.time(), participant.progress
         if not participant.is_active and participant.ended is None:
             participant.ended = now
@@ -277,19 +297,13 @@ class StudyStore(Journal):
     def move(self, participant: Participant, token: str) -> Seat:
         """A seat for the browser that holds ``token``; the one that the participant had is gone."""
         old = self.seat_of(participant)
-        if old is not None:
-            del self.seats[old.sid]
-            self._db.execute("delete from seats where sid = ?", (old.sid,))
-        seat = self.sit(token, participant.number, 0)
-        if old is not None and old.game:
-            self.assign(seat, self.games[old.game])
-        return seat
+        return self.sit(token, participant.number, 0) if old is None else self.hand_over(old, token)
 
     def begin_episode(self, participant: Participant, key: str) -> Game:
         """The game of an episode."""
         game = Game(key, participant.number, 0)
-        self.games[key] = game
         self._db.execute("insert into games values (?, ?, ?, ?)", (key, game.place, 0, ""))
+        self.games[key] = game
         return game
 
 
@@ -303,7 +317,12 @@ class _Transaction:
         self._db.execute("begin immediate")
 
     def __exit__(self, kind: object, *_: object) -> None:
-        self._db.execute("commit" if kind is None else "rollback")
+        try:
+            if kind is None:
+                self._db.execute("commit")
+        finally:
+            if self._db.in_transaction:  # a full disk may have rolled it back already
+                self._db.execute("rollback")
 
 
 def _json(value: Any) -> str:
