@@ -59,8 +59,14 @@ def test_the_page_asks_for_words_that_are_there_and_for_no_others() -> None:
 def sentences(path: Path) -> set[str]:
     """Sentences that a module returns or raises for players."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        value = node.value if isinstance(node, ast.Return) else None
+    tree = ast.parse(path.read_text())
+    values: list[ast.expr | None] = [node.value for node in ast.walk(tree) if isinstance(node, ast.Return)]
+    values += [node.value for node in tree.body if isinstance(node, ast.Assign)]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            values += [keyword.value for keyword in node.keywords if keyword.arg == "text"]
+            values += node.args if isinstance(node.func, ast.Name) and node.func.id == "NotNow" else []
+    for value in values:
         if isinstance(value, ast.Constant) and isinstance(value.value, str) and SENTENCE.match(value.value):
             found.add(value.value)
     return found
@@ -71,7 +77,8 @@ def test_what_the_server_says_to_players_is_there_too(code: str) -> None:
     language = shipped(code)
     assert language is not None
     told = set(REASONS.values()) | {text for how in HOW.values() for text in how.values()}
-    for path in (HITL / "drivers.py", *sorted((HITL / "apps").glob("*.py"))):
+    study = HITL / "study" / "front.py", HITL / "study" / "flow.py"
+    for path in (HITL / "drivers.py", HITL / "worker.py", *study, *sorted((HITL / "apps").glob("*.py"))):
         told |= sentences(path)
     assert len(told) > 40
     patterns = [re.compile("^" + ".+?".join(map(re.escape, text.split("{}"))) + "$") for text in language.said]
