@@ -59,6 +59,7 @@ class StudyBots:
 
     def run(self) -> Outcome:
         from h3data_viewers.hitl.study.files import bots_folder, make_plan, read_design, study_folder, with_id_pattern
+        from h3data_viewers.hitl.study.forms import right_answers
         from h3data_viewers.hitl.study.pseudonyms import ANY
 
         require_aiohttp("h3data study bots")
@@ -71,7 +72,7 @@ class StudyBots:
         if self.workers < 1 or (self.at_once is not None and self.at_once < 1) or not 0 <= self.speed <= 100:
             raise InputError("Expected --workers and --at-once of at least 1, and a --speed from 0 to 100.")
         episodes = count * len(design.conditions) * design.episodes
-        crowd = Crowd(count, self.at_once or AT_ONCE_EACH * self.workers)
+        crowd = Crowd(count, self.at_once or AT_ONCE_EACH * self.workers, right=right_answers(design))
         began = time.monotonic()
         if self.link is not None:
             folder = None
@@ -140,6 +141,8 @@ class Crowd:
     ends: Counter[str] = field(default_factory=Counter)
     faults: int = 0
     slipped: int = 0
+    right: dict[tuple[str, str], float] = field(default_factory=dict)
+    """Right answers to checks, by form and item."""
     known: dict[str, tuple[str, str]] | None = None
     """Of those who have begun before, by name: their status, and the code by which they go on. None: a served study, which
     asks for ids of its own form."""
@@ -174,7 +177,7 @@ class Crowd:
             self.statuses[status] += 1
             return
         pid = secrets.token_hex(12) if self.known is None else name
-        async with places, ScriptedParticipant(link, name, ended, pid=pid, rejoin=rejoin) as bot:
+        async with places, ScriptedParticipant(link, name, ended, pid=pid, rejoin=rejoin, right=self.right) as bot:
             try:
                 self.statuses[await bot.take_part()] += 1
             except (ConnectionError, TimeoutError, ClientError) as fault:

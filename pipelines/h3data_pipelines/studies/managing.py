@@ -16,7 +16,7 @@ from h3data_pipelines.command import DryRunFlag, JsonFlag, Outcome
 from h3data_pipelines.studies.running import LOCK, running
 
 if TYPE_CHECKING:
-    from h3data_viewers.hitl.study.store import StudyStore
+    from h3data_viewers.hitl.study.store import Participant, StudyStore
 
 REPORT = "report"
 """Folder below that of a study: what ``study report`` has made."""
@@ -102,7 +102,8 @@ def _status_text(data: dict[str, Any]) -> str:
 class StudyForget:
     """Delete everything of a participant: recordings, answers, seat; and say what has been deleted.
 
-    What the study's report folder holds is deleted as well, because it is made of everybody's data: make it again. Copies
+    What h3data study report and h3data study pay have made is deleted as well, because it is made of everybody's data: make it
+    again. Copies
     elsewhere are yours to delete. The study must not be running; participants go on when it is started again.
 
     Examples:
@@ -118,23 +119,13 @@ class StudyForget:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        from h3data_viewers.hitl.study.files import key_file, open_store, open_study
-        from h3data_viewers.hitl.study.pseudonyms import read_key, recruit_ids
+        from h3data_viewers.hitl.study.files import open_store, open_study
 
         folder, design = open_study(self.study)
         with running(folder):
             store = open_store(folder, design, read_only=self.dry_run)
             try:
-                person = store.by_id(self.participant)
-                if person is None and key_file(folder).is_file():
-                    ids = recruit_ids({"PROLIFIC_PID": self.participant}, read_key(key_file(folder)))
-                    person = store.by_id(ids.get("PROLIFIC_PID", ""))
-                if person is None:
-                    names = [p.id for p in store.participants.values()]
-                    raise InputError(
-                        f"Nobody in this study is {self.participant!r}.{did_you_mean(self.participant, names)} "
-                        f"Hint: h3data study status {self.study}"
-                    )
+                person = find_participant(folder, store, self.participant)
                 pseudonym, files = person.id, sorted(_files(folder, person.id))
                 forms = sum(row.startswith("form/") for row in person.progress.rows)
                 entries = store.forget(person)
@@ -164,6 +155,27 @@ class StudyForget:
         return Outcome(text=text, data=data, result=data)
 
 
+def find_participant(folder: Path, store: StudyStore, name: str) -> Participant:
+    """The participant with a number (P-...) or an id at the recruiting platform.
+
+    Raises:
+        InputError: there is none.
+    """
+    from h3data_viewers.hitl.study.files import key_file
+    from h3data_viewers.hitl.study.pseudonyms import read_key, recruit_ids
+
+    person = store.by_id(name)
+    if person is None and key_file(folder).is_file():
+        ids = recruit_ids({"PROLIFIC_PID": name}, read_key(key_file(folder)))
+        person = store.by_id(ids.get("PROLIFIC_PID", ""))
+    if person is None:
+        names = [p.id for p in store.participants.values()]
+        raise InputError(
+            f"Nobody in this study is {name!r}.{did_you_mean(name, names)} Hint: h3data study status {folder}"
+        )
+    return person
+
+
 def _files(folder: Path, pseudonym: str) -> Iterator[Path]:
     """Files of a participant, unfinished and damaged ones included, and what is made of everybody's."""
     from h3data_viewers.hitl.study.orders import RECORDINGS, TUTORIALS
@@ -172,5 +184,12 @@ def _files(folder: Path, pseudonym: str) -> Iterator[Path]:
         for file in (folder / below).glob("*"):
             if f"{pseudonym}_" in file.name:
                 yield file
-    if (folder / REPORT).is_dir():
-        yield folder / REPORT
+    for made in (folder / REPORT, payments_folder(folder)):
+        if made.is_dir():
+            yield made
+
+
+def payments_folder(folder: Path) -> Path:
+    """Where ``study pay`` writes: beside the study's folder, because it has ids of the recruiting platform."""
+    folder = folder.resolve()
+    return folder.with_name(folder.name + "-payments")

@@ -27,6 +27,7 @@ from h3data_pipelines.studies.managing import REPORT
 if TYPE_CHECKING:
     from h3data.metrics import EpisodeMetrics
     from h3data_viewers.hitl.study.design import Design
+    from h3data_viewers.hitl.study.exclusions import Exclusions
     from h3data_viewers.hitl.study.overview import PlayedEpisode
     from h3data_viewers.hitl.study.store import Participant
     from h3data_viewers.html_report.report_episode import ReportEpisode
@@ -38,8 +39,9 @@ class StudyReport:
     """Write the report of a study: the paper's table, its contrasts, questionnaires.
 
     CR, TS, RC and RE with mixed models and post-hoc comparisons, as in Habitat 3.0; episodes during which the machine was too
-    slow are left out, and counted. Writes report.html, study.json, answers.csv and trials.csv with a row for each episode;
-    all but report.html also where no episode can be used.
+    slow are left out, and counted, as is whatever the study file's rules ([[exclude]]) leave out. Writes report.html,
+    study.json and, of everybody, whether used or not: participants.csv, answers.csv, checks.csv, focus.csv and trials.csv with
+    a row for each episode; all but report.html also where no episode can be used.
 
     Examples:
         h3data study report study.toml
@@ -63,19 +65,27 @@ class StudyReport:
 
     def run(self) -> Outcome:
         from h3data.metrics import StudyModel, analyse_study, find_profile, measure_files
-        from h3data_viewers.hitl.study.answers import answer_rows, form_means
+        from h3data_viewers.hitl.study.answers import answer_rows, check_rows, form_means
+        from h3data_viewers.hitl.study.exclusions import exclusions, focus_rows
         from h3data_viewers.hitl.study.files import open_store, open_study
         from h3data_viewers.html_report.report import write_report
 
         folder, design = open_study(self.study)
-        people = finished(list(open_store(folder, design).participants.values()), everybody=self.everybody)
-        files, left_out = usable_recordings(folder, design, people)
+        everyone = sorted(open_store(folder, design).participants.values(), key=lambda p: p.number)
+        people = finished(everyone, everybody=self.everybody)
+        rules = exclusions(design, people)
+        used = [person for person in people if person.id not in rules.people]
+        files, left_out = usable_recordings(folder, design, used, rules)
         out = folder / REPORT if self.out is None else self.out
         claim_folder(out, force=self.force or self.out is None)
         # before anything is measured: what people have answered does not hang on how their episodes went
         write_rows(out / "answers.csv", answer_rows(design, people, free_text=self.free_text))
-        write_rows(out / "trials.csv", trial_rows(folder, design, people, []))
+        write_rows(out / "checks.csv", check_rows(everyone))
+        write_rows(out / "focus.csv", focus_rows(everyone))
+        write_rows(out / "participants.csv", participant_rows(design, everyone))
+        write_rows(out / "trials.csv", trial_rows(folder, design, people, [], rules))
         notes = [f"{counted(count, 'episode')} left out: {why}." for why, count in left_out.items()]
+        notes += _rule_notes(design, rules, people)
         notes += _bots(people)
         model, page = StudyModel(steps=self.model, failed=self.failed), out / "report.html"
         text, found = "", None
@@ -85,34 +95,37 @@ class StudyReport:
             table = None
             notes.append(f"No table of the episodes: {fault}")
         if table is not None:
-            write_rows(out / "trials.csv", trial_rows(folder, design, people, table.episodes))
+            write_rows(out / "trials.csv", trial_rows(folder, design, people, table.episodes, rules))
             try:
                 analysis = analyse_study(table.episodes, find_profile(table.profile, table.episodes[0].task), model)
                 text, found = analysis.to_text(), analysis.to_dict()
             except InputError as fault:  # one condition, or one participant: there is nothing to compare
                 text = table.to_text()
                 notes.append(f"No comparison of conditions: {str(fault).partition(' Hint:')[0]}")
-            forms = _forms_table(design, people)
+            more = [t for t in (_forms_table(design, used), _rules_table(design, rules)) if t is not None]
             title = f"{design.name}, version {design.version}" + (" (scripted participants)" if _bots(people) else "")
             write_report(
-                files, page, title=title, pictures=self.pictures, study=model, more=[forms] if forms else [],
-                folder=folder, command=command_line("study report", self),
+                files, page, title=title, pictures=self.pictures, study=model, more=more, folder=folder,
+                command=command_line("study report", self),
             )  # fmt: skip
         else:
             page.unlink(missing_ok=True)  # of an earlier report
             notes.append("No report.html: it needs an episode that can be used.")
-        means, differences = form_means(design, people)
+        means, differences = form_means(design, used)
         data = {
             "study": design.name,
             "version": design.version,
-            "participants": len(people),
+            "participants": len(used),
+            "excluded": rules.people,
+            "excluded_by_rule": rules.counts,
             "analysis": found,
             "forms": [vars(m) for m in means],
             "form_differences": [vars(d) for d in differences],
             "notes": notes,
         }
         write_text(out / "study.json", json.dumps(_plain(data), indent=2) + "\n")
-        made = [out / name for name in ("answers.csv", "trials.csv", "study.json")] + [page] * (table is not None)
+        names = ("participants.csv", "answers.csv", "checks.csv", "focus.csv", "trials.csv", "study.json")
+        made = [out / name for name in names] + [page] * (table is not None)
         blocks = [text, _forms_text(means, differences), "\n".join(notes), "\n".join(map(str, made))]
         return Outcome(text="\n\n".join(filter(None, blocks)), data={**data, "out": str(out)}, result=out)
 
@@ -138,6 +151,7 @@ class StudyCompare:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        from h3data_viewers.hitl.study.exclusions import exclusions
         from h3data_viewers.hitl.study.files import open_store, open_study
         from h3data_viewers.html_report.report_data import gather
         from h3data_viewers.html_report.report_ranks import rank_table
@@ -145,7 +159,9 @@ class StudyCompare:
 
         folder, design = open_study(self.study)
         people = finished(list(open_store(folder, design).participants.values()), everybody=self.everybody)
-        files, left_out = usable_recordings(folder, design, people)
+        rules = exclusions(design, people)
+        people = [person for person in people if person.id not in rules.people]
+        files, left_out = usable_recordings(folder, design, people, rules)
         if not files:
             raise InputError(f"No episode of people can be used: {dict(left_out) or 'none has been played'}.")
         policies = [c.partner for c in design.conditions if c.partner and not c.is_solo]
@@ -182,7 +198,9 @@ def finished(people: Sequence[Participant], *, everybody: bool) -> list[Particip
     return kept
 
 
-def usable_recordings(folder: Path, design: Design, people: Sequence[Participant]) -> tuple[list[Path], Counter[str]]:
+def usable_recordings(
+    folder: Path, design: Design, people: Sequence[Participant], rules: Exclusions
+) -> tuple[list[Path], Counter[str]]:
     """Recordings of participants whose episodes can be used, and why how many others are left out."""
     from h3data_viewers.hitl.study.overview import played
 
@@ -190,52 +208,98 @@ def usable_recordings(folder: Path, design: Design, people: Sequence[Participant
     left_out: Counter[str] = Counter()
     for person in people:
         for episode in played(person):
-            path, why = _recorded(folder, design, episode)
+            path, why = _recorded(folder, design, episode, rules)
             if why:
-                left_out[why] += 1
+                left_out[why.partition(" (")[0]] += 1
             else:
                 files.append(path)
     return files, left_out
 
 
-def _recorded(folder: Path, design: Design, episode: PlayedEpisode) -> tuple[Path, str]:
+def _recorded(folder: Path, design: Design, episode: PlayedEpisode, rules: Exclusions) -> tuple[Path, str]:
     """Where an episode is recorded, and why it cannot be used; empty: it can."""
     from h3data_viewers.hitl.study.orders import recording_path
     from h3data_viewers.hitl.study.overview import usable
 
     path = recording_path(folder, episode.participant, episode.row)
-    return path, usable(design, episode) or ("" if path.is_file() else "the recording is missing")
+    why = rules.people.get(episode.participant) or rules.trials.get((episode.participant, episode.row))
+    return path, why or usable(design, episode) or ("" if path.is_file() else "the recording is missing")
+
+
+def participant_rows(design: Design, people: Sequence[Participant]) -> list[list[str | float]]:
+    """A row for each participant, whatever became of them, with everything that rules can ask for, and a header."""
+    from h3data_viewers.hitl.study.exclusions import PARTICIPANT_MEASURES, exclusions, participant_measures
+    from h3data_viewers.hitl.study.overview import is_bot, played
+
+    rules = exclusions(design, people)
+    head: list[str | float] = ["participant", "bot", "status", "reason", "language", "episodes", *PARTICIPANT_MEASURES]
+    rows: list[list[str | float]] = [[*head, "excluded"]]
+    for person in people:
+        progress, measured = person.progress, participant_measures(person)
+        rows.append(
+            [person.id, int(is_bot(person)), progress.status, progress.reason, person.language, len(played(person)),
+             *(round(measured[name], 6) for name in PARTICIPANT_MEASURES), rules.people.get(person.id, "")]
+        )  # fmt: skip
+    return rows
+
+
+def _rule_notes(design: Design, rules: Exclusions, people: Sequence[Participant]) -> list[str]:
+    from h3data_viewers.hitl.study.exclusions import rule_text
+
+    if not design.exclude:
+        return []
+    kinds = {"participant": "participant", "trial": "episode"}
+    return [
+        f"{len(rules.people)} of {counted(len(people), 'participant')} left out by rules written beforehand.",
+        *(
+            f"Rule {r.name}: {counted(rules.counts[r.name], kinds[r.of])} left out. {rule_text(r)}."
+            for r in design.exclude
+        ),
+    ]
 
 
 def trial_rows(
-    folder: Path, design: Design, people: Sequence[Participant], measured: Sequence[EpisodeMetrics]
+    folder: Path, design: Design, people: Sequence[Participant], measured: Sequence[EpisodeMetrics], rules: Exclusions
 ) -> list[list[str | float]]:
     """A row for each episode that was played, used or not, with a header.
 
     ``order`` counts a participant's episodes, ``block`` their conditions and ``trial`` the episodes of a block, all from 1;
-    ``ended_at`` is in UTC, ``late_steps`` were due before the machine could play them. The metrics of ``measured``
-    come last, empty where they are undefined.
+    ``ended_at`` is in UTC, ``late_steps`` were due before the machine could play them. The metrics of ``measured``, empty
+    where they are undefined, and the answers to questions after each episode (``form.item``, no free text) come last.
     """
+    from h3data_viewers.hitl.study.answers import filled_stages
+    from h3data_viewers.hitl.study.exclusions import trial_measures
     from h3data_viewers.hitl.study.overview import is_bot, played
 
     found = {(m.participant, m.condition, m.episode_id): m.values for m in measured}  # nobody plays an episode twice
     metrics = list(dict.fromkeys(name for values in found.values() for name in values))
+    answered = {
+        (person.id, stage.block, stage.trial, f"{form.id}.{item}"): value
+        for person in people
+        for stage, form, _, answers in filled_stages(person)
+        if stage.after == "trial"
+        for item, value in answers.items()
+        if not isinstance(value, str)
+    }
+    questions = list(dict.fromkeys(name for *_, name in answered))
     head = ["participant", "bot", "order", "block", "trial", "condition", "partner", "scene", "episode", "ended_at"]
     rows: list[list[str | float]] = [
-        [*head, "seconds", "ended", "steps", "late_steps", "left_out", "recording", *metrics]
+        [*head, "seconds", "ended", "steps", "late_steps", "away_s", "left_out", "recording", *metrics, *questions]
     ]
     for person in people:
         for number, e in enumerate(played(person), 1):
             block = person.progress.place.blocks[e.block - 1]
-            path, why = _recorded(folder, design, e)
+            path, why = _recorded(folder, design, e, rules)
             when = datetime.fromtimestamp(person.times[e.row], UTC).isoformat(timespec="seconds")
             values = found.get((person.id, e.condition, str(block.episodes[e.trial - 1])), {})
             rows.append(
                 [person.id, int(is_bot(person)), number, e.block, e.trial, e.condition,
                  design.condition(e.condition).partner or "", block.scene, block.episodes[e.trial - 1], when,
-                 round(e.steps * STEP_NS * 1e-9, 3), e.ended, e.steps, e.slipped, why,
+                 round(e.steps * STEP_NS * 1e-9, 3), e.ended, e.steps, e.slipped,
+                 trial_measures(person, e)["away_s"], why,
                  str(path.relative_to(folder)) if path.is_file() else "",
-                 *("" if (v := values.get(name, math.nan)) != v else float(v) for name in metrics)]
+                 *("" if (v := values.get(name, math.nan)) != v else float(v) for name in metrics),
+                 *(answered.get((person.id, e.block, e.trial, name), "") for name in questions)]
             )  # fmt: skip
     return rows
 
@@ -315,6 +379,26 @@ def _forms_table(design: Design, people: Sequence[Participant]) -> Table | None:
     return Table(
         key="forms", title="Questionnaires", name_head="Condition", columns=tuple(Column(head=form) for form in forms),
         caption="Mean score of each questionnaire over participants with 95 % intervals; reversed items are turned round.",
+        sections=(Section(title="", rows=rows),), notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _rules_table(design: Design, rules: Exclusions) -> Table | None:
+    from h3data_viewers.hitl.study.exclusions import rule_text
+    from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table
+
+    if not design.exclude:
+        return None
+    rows = tuple(
+        Row(name=rule.name, cells=(Cell(text=rule_text(rule)), Cell(text=str(rules.counts[rule.name]))))
+        for rule in design.exclude
+    )
+    notes = [f"{who}: {why}." for who, why in rules.people.items()]
+    return Table(
+        key="exclusions", title="Left out by rules", name_head="Rule",
+        columns=(Column(head="leaves out"), Column(head="count")),
+        caption="Rules that were part of the study file before anybody took part. The tables beside the report have everybody, "
+        "with the reason.",
         sections=(Section(title="", rows=rows),), notes=tuple(notes),
     )  # fmt: skip
 

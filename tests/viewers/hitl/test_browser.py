@@ -54,7 +54,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     from tests.viewers.hitl.server import Server
 
     out = tmp_path_factory.mktemp("play")
-    with Server(out, {"tables": 8, "stays": True}, scenes="small:1", episodes=20) as server:
+    with Server(out, {"tables": 11, "stays": True}, scenes="small:1", episodes=20) as server:
         yield server
 
 
@@ -133,6 +133,32 @@ def test_the_page_fits_small_screens_and_is_used_by_keys_alone(server: Any) -> N
     assert said["help"]
 
 
+def test_nothing_on_the_page_lies_on_anything_else_at_any_size(server: Any, tmp_path: Path) -> None:
+    said = play("layout", server.links[0], tmp_path)
+    assert said["layout"] == {}
+    assert {"view", "button-view", "button-help", "button-leave", "thumb-act"} <= set(said["rings"])
+    assert min(said["rings"].values()) >= 3, said["rings"]
+    assert said["lives"][0] == ["alert", "There is nowhere to stand from which it could be put there.", "block"]
+
+
+def test_an_empty_hand_and_a_click_on_the_own_body_are_answered(server: Any) -> None:
+    said = play("hands", server.links[0])
+    assert said["toasts"] | {"f": ""} == {"q": "Your hand is empty.", "g": "Your hand is empty.", "f": ""}
+    assert said["sent"] == 0
+    assert said["mouse"].strip().startswith("Click")
+    assert said["keys"].strip()[0] == said["again"].strip()[0] == "F"
+
+
+def test_where_there_is_nothing_to_take_no_key_for_it_is_named(tmp_path: Path) -> None:
+    from tests.viewers.hitl.server import Server
+
+    with Server(tmp_path / "out", app="social_nav", partner="heuristic_expert", scenes="small:2") as server:
+        said = play("hands", server.links[0])
+    assert set(said["toasts"].values()) == {"There is nothing to take here."}
+    assert said["keys"] == said["mouse"] == ""
+    assert "put" not in said["help"]
+
+
 def test_follow_me_is_walked_in_front_of_the_robot(tmp_path: Path) -> None:
     from tests.viewers.hitl.server import Server
 
@@ -159,7 +185,9 @@ def test_the_tutorial_is_played_step_by_step(tmp_path: Path) -> None:
     with Server(tmp_path / "out", app="tutorial", partner=None, scenes="small:1") as server:
         said = play("tutorial", server.links[0], tmp_path)
     assert said["over"]["ended"] == "success"
-    assert [text.split()[0] for text in said["texts"]] == ["Walk", "Turn", "Take", "Bring"]
+    assert [text.split()[0] for text in said["texts"]] == ["Walk", "Look", "Take", "Bring"]
+    assert said["hints"][0].strip().startswith("W goes ahead"), "one hint, that of the step"
+    assert said["hints"][1].strip().startswith(("F", "E"))
     assert said["refused"].startswith("Not yet: first walk to the white ring")
 
 

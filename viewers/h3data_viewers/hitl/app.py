@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from h3data.errors import InputError
@@ -26,6 +26,9 @@ class Hud:
     """Time that is left [s]; None: no limit is shown."""
     lines: tuple[str, ...] = ()
     """How it stands, a line each."""
+    how: Mapping[str, str] = field(default_factory=dict)
+    """How it is done by what the player acts with (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), said in place of the
+    page's own hints. Where it has nothing, the page says what could be done now."""
     marker: tuple[float, float, float] | None = None
     """A point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
 

@@ -456,7 +456,7 @@ class Worker:
                 self.channel.send("told", running.key, [number, {"floor": assets.floor_message(game.floor)}])
             hud = game.app.hud(number)
             # pages count the seconds down themselves
-            words = (hud.task, hud.lines, hud.marker, None if hud.left_s is None else hud.left_s // HUD_S)
+            words = (hud.task, hud.lines, hud.how, hud.marker, None if hud.left_s is None else hud.left_s // HUD_S)
             if running.huds.get(number) != words:
                 running.huds[number] = words
                 self.channel.send("told", running.key, [number, {"hud": msgspec.to_builtins(hud)}])

@@ -39,7 +39,7 @@ class Participant(Bot):
     async def fill(self) -> None:
         """Fills in the form that is next."""
         answers = {item["id"]: item["min"] for item in self.stage["items"] if item["kind"] != "text"}
-        form = {"form": self.stage["form"], "block": self.stage["block"], "answers": answers}
+        form = {name: self.stage[name] for name in ("form", "block", "trial")} | {"answers": answers}
         assert await self.ask("api/study/form", form) == 200
 
     async def begin(self) -> None:

@@ -43,7 +43,7 @@ def test_the_example_is_a_study_and_its_comments_name_the_defaults(tmp_path: Pat
         "max_slip",
     )
     for name in settings:
-        text = text.replace(f"# {name} = ", f"{name} = ")
+        text = text.replace(f"# {name} = ", f"{name} = ", 1)
     for section in ("device", "dropout"):
         text = text.replace(f"# [{section}]", f"[{section}]")
     path.write_text(text)
@@ -69,7 +69,7 @@ def test_the_example_is_a_study_and_its_comments_name_the_defaults(tmp_path: Pat
         ({"texts": {"de": {}}}, "a language that languages does not name"),
         ({"texts": {"en": {"agre": "x"}}}, "Did you mean 'agree'"),
         ({"title": {"de": "x"}}, "is in the language 'de', which languages does not name"),
-        ({"title": {"de": "x"}, "languages": ["en", "de"]}, "lacks the study's first language, 'en'"),
+        ({"title": {"de": "x"}, "languages": ["en", "de"]}, "lacks the study's language 'en'"),
         (
             {"forms": [{"id": "f", "items": [{"id": "a", "text": "?", "kind": "choice", "options": ["x"]}]}]},
             "two options",

@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 import sqlite3
+import zipfile
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -16,7 +17,8 @@ import pytest
 
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
-from h3data_pipelines.studies.managing import StudyForget, StudyStatus
+from h3data_pipelines.studies.handing_out import StudyData, StudyPay
+from h3data_pipelines.studies.managing import StudyForget, StudyStatus, payments_folder
 from h3data_pipelines.studies.reporting import StudyCompare, StudyReport, _by_policy, _shipped
 from h3data_pipelines.studies.running import keep_design, running
 from h3data_viewers.hitl.study.files import bots_folder, open_store, open_study, read_design
@@ -280,3 +282,100 @@ def test_ranks_by_people_stand_beside_ranks_by_automatic_evaluation(tmp_path: Pa
     other = play_study(tmp_path / "other", 2, conditions=conditions[:1], scenes=["small:1"])
     with pytest.raises(InputError, match="Expected two or more policies that are both in the study"):
         StudyCompare(other, zsc).run()
+
+
+RULES = [
+    {"name": "inattentive", "what": "failed_checks", "above": 0},
+    {"name": "long", "of": "trial", "what": "away_s", "above": 60},
+]
+
+
+def test_the_report_applies_rules_written_beforehand_and_keeps_what_they_leave_out(study: Path, tmp_path: Path) -> None:
+    path = copied(study, tmp_path / "ruled")
+    folder = path.parent / "tiny-1"
+    for file in (folder / "design.json",):
+        design = json.loads(file.read_text())
+        file.write_text(json.dumps({**design, "exclude": RULES}))
+    away = json.dumps({"away": False, "why": "blur", "seconds": 99.0, "stage": "episode/1/1"})
+    wrong = "update rows set data = json_set(data, '$.wrong', json('[\"age\"]')) where stage = 'form/you' and participant = 2"
+    with sqlite3.connect(folder / "study.sqlite") as db:
+        db.execute(wrong)
+        db.execute("insert into rows values (1, 'focus/1', 0, ?)", (away,))
+    outcome = StudyReport(folder, pictures=0).run()
+    out = folder / "report"
+    assert "Rule inattentive: 1 participant left out." in outcome.text
+    assert "Rule long: 1 episode left out." in outcome.text
+    assert "1 of 2 participants left out by rules written beforehand." in outcome.text
+    data = json.loads((out / "study.json").read_text())
+    assert (data["participants"], data["excluded_by_rule"]) == (1, {"inattentive": 1, "long": 1})
+    trials = list(csv.DictReader((out / "trials.csv").read_text().splitlines()))
+    assert len(trials) == 4
+    assert sorted(row["left_out"].partition(" (")[0] for row in trials) == ["", *["rule inattentive"] * 2, "rule long"]
+    people = list(csv.DictReader((out / "participants.csv").read_text().splitlines()))
+    assert [row["status"] for row in people] == ["complete", "complete", "active"], "everybody, whatever became of them"
+    assert [bool(row["excluded"]) for row in people] == [False, True, False]
+    assert len(list(csv.DictReader((out / "focus.csv").read_text().splitlines()))) == 1
+    assert {row["participant"] for row in csv.DictReader((out / "answers.csv").read_text().splitlines())} == {
+        row["participant"] for row in people[:2]
+    }
+    if (out / "report.html").is_file():
+        assert "Left out by rules" in (out / "report.html").read_text()
+
+
+def test_codes_are_unique_and_bonuses_go_to_those_who_finished(study: Path, tmp_path: Path) -> None:
+    path = copied(study, tmp_path / "paid")
+    folder = path.parent / "tiny-1"
+    design = json.loads((folder / "design.json").read_text())
+    with pytest.raises(InputError, match=r"no bonus\. Expected \[bonus\]"):
+        StudyPay(folder, ids=write(tmp_path / "a.csv", pid(0))).run()
+    design |= {"bonus": {"base": 0.5, "per_success": 0.25, "most": 0.9}}
+    design["recruiting"]["unique_codes"] = True
+    (folder / "design.json").write_text(json.dumps(design))
+    out = Path(StudyPay(folder).run().data["out"])
+    assert out == payments_folder(folder)
+    assert not (out / "bonus.csv").exists()
+    codes = {row["participant"]: row for row in csv.DictReader((out / "codes.csv").read_text().splitlines())}
+    given = [row["code"] for row in codes.values() if row["status"] == "complete"]
+    assert len(set(given)) == len(given) == 2
+    assert all(re.fullmatch("[A-Z2-7]{10}", code) for code in given)
+    assert [row["code"] for row in codes.values() if row["status"] != "complete"] == [""]
+    first = next(row for row in codes.values())
+    exported = f"Participant id,Completion code\n{pid(0)},{first['code']}\n{pid(1)},WRONG\n{pid(2)},\n{pid(77)},\n"
+    outcome = StudyPay(folder, ids=write(tmp_path / "export.csv", exported)).run()
+    assert (out / "bonus.csv").read_text() == f"{pid(0)},{first['bonus']}\n"
+    assert first["bonus"] == "0.90"
+    assert f"{pid(1)} has finished, but gave the code WRONG" in outcome.text
+    assert f"{pid(2)} has not finished" in outcome.text
+    with pytest.raises(InputError, match="no column"):
+        StudyPay(folder, ids=write(tmp_path / "b.csv", "name,age\nA,3\n")).run()
+    forgotten = StudyForget(folder, pid(0)).run()
+    assert not out.exists(), "it has the id of who is forgotten"
+    assert str(out) in forgotten.text
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_a_participant_gets_all_of_their_own_data_and_nothing_of_others(study: Path, tmp_path: Path) -> None:
+    outcome = StudyData(study, pid(0), out=tmp_path / "own.zip").run()
+    folder, design = open_study(study)
+    me, other = (person.id for person in list(open_store(folder, design).participants.values())[:2])
+    with zipfile.ZipFile(tmp_path / "own.zip") as file:
+        names = set(file.namelist())
+        data = json.loads(file.read("participant.json"))
+        everything = b"".join(map(file.read, names))
+    assert {"README.txt", "participant.json", "consent.txt"} < names
+    assert {name for name in names if name.startswith("recordings/")} == {
+        f"recordings/{path.name}" for path in (folder / "recordings").glob(f"{me}_*.mcap")
+    }
+    assert outcome.data["recordings"] == 2
+    assert data["participant"] == me
+    assert {entry["what"] for entry in data["entries"]} >= {"device", "episode/1/1", "form/you"}
+    words = next(entry for entry in data["entries"] if entry["what"] == "form/you")
+    assert words["data"]["answers"]["words"] == NOTHING["text"]
+    assert other.encode() not in everything
+    assert pid(0).encode() not in everything, "the study does not know it"
+    with pytest.raises(InputError, match="Nobody in this study"):
+        StudyData(study, "P-NOBODY", out=tmp_path / "no.zip").run()

@@ -26,7 +26,8 @@ def test_consent_is_asked_and_hashed_in_the_language_that_was_read() -> None:
     assert german["stage"]["text"] == "Sie dürfen aufhören."
     assert german["stage"]["hash"] == text_hash("Sie dürfen aufhören.") != english["stage"]["hash"]
     assert german["words"]["agree"] == "Ich nehme teil"
-    assert german["words"]["decline"] == english["words"]["decline"], "words that the file does not have stay English"
+    assert german["words"]["decline"] == "Ich nehme nicht teil", "words that the file does not have are the package's"
+    assert english["words"]["decline"] == "I do not take part"
 
 
 def test_participants_are_blind_to_their_condition(tmp_path: Path) -> None:

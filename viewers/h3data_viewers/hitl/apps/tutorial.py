@@ -26,6 +26,24 @@ LOOKS_RAD = 0.35
 LOOK_STEPS = 15
 """The thing has to be looked at for this many steps: a player who happens to face it would never see the step."""
 WALK, LOOK, TAKE, PUT = range(4)
+HOW: Mapping[int, Mapping[str, str]] = {
+    WALK: {
+        "keys": "W goes ahead, A and D turn, S goes back. The arrow keys do it, too.",
+        "mouse": "Click on the floor at the ring. W, A, S and D walk there, too.",
+        "touch": "Push the stick at the lower left upwards, or to a side to turn. A tap on the floor walks there.",
+        "pad": "The left stick walks and turns.",
+        "headset": "The left stick walks where you look.",
+    },
+    LOOK: {
+        "keys": "Turn with A and D until you face it.",
+        "mouse": "Click on the floor before it, or turn with A and D until you face it.",
+        "touch": "Push the stick to the left or to the right until you face it.",
+        "pad": "Push the left stick to a side until you face it.",
+        "headset": "Turn until you face it.",
+    },
+}
+"""What is to be pressed for the steps that nothing but the tutorial asks for; of taking and putting down the page's own hints
+tell."""
 
 
 class TutorialApp(RearrangeApp):
@@ -68,15 +86,21 @@ class TutorialApp(RearrangeApp):
 
     def hud(self, number: int) -> Hud:
         current = self.step_of(number)
-        texts = self._texts(number)
-        lines = [
-            f"{'✓' if k < current else '→' if k == current else '·'} {short}" for k, (short, _) in enumerate(texts)
-        ]
+        thing, goal, go = self.thing, self.goals()[0].label, self._go(number)
+        short = f"{go} to the white ring", f"Look at the {thing}", f"Take the {thing}", f"Put it on the {goal}"
+        lines = [f"{'✓' if k < current else '→' if k == current else '·'} {text}" for k, text in enumerate(short)]
+        tasks = (
+            f"{go} to the white ring.",
+            f"Look at the {thing}, marked A. The map shows where it is.",
+            f"Take the {thing}.",
+            f"Bring the {thing} to the {goal}.",
+        )
+        step = min(current, PUT)
         mark = None
         if current == WALK and number in self.marks:
             x, z = self.marks[number].tolist()
             mark = (x, float(self.session.episode.free.height_at(self.marks[number])), z)
-        return Hud(task=texts[min(current, PUT)][1], left_s=None, lines=tuple(lines), marker=mark)
+        return Hud(task=tasks[step], left_s=None, lines=tuple(lines), how=HOW.get(step, {}), marker=mark)
 
     def over(self, number: int) -> str:
         if self.session.ended == "success":
@@ -99,22 +123,6 @@ class TutorialApp(RearrangeApp):
     def thing(self) -> str:
         """The word for the object."""
         return self.label(self.session.episode.targets[0].name)  # type: ignore[attr-defined]
-
-    def _texts(self, number: int) -> list[tuple[str, str]]:
-        """For each step a few words, and the sentences of how it is done."""
-        thing, goal = self.thing, self.goals()[0].label
-        go = self._go(number)
-        return [
-            (f"{go} to the white ring",
-             f"{go} to the white ring: W goes ahead, A and D turn, S goes back. The arrow keys, a stick and a click on the "
-             "floor do it too."),
-            (f"Look at the {thing}",
-             f"Turn with A and D until you face the {thing}, marked A. The map shows where it is."),
-            (f"Take the {thing}",
-             f"Take the {thing}: F walks there and takes it. E takes it when you stand near."),
-            (f"Put it on the {goal}",
-             f"Bring the {thing} to the {goal}: F walks there and puts it down. E puts it where the copy of it shows."),
-        ]  # fmt: skip
 
     def _go(self, number: int) -> str:
         return "Drive" if self.session.episode.roster[max(number, 0)].kind == "robot" else "Walk"

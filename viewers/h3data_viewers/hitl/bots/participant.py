@@ -7,7 +7,7 @@ import asyncio
 import hashlib
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import aiohttp
@@ -36,18 +36,20 @@ class ScriptedParticipant(Client):
     view: dict[str, Any]
 
     def __init__(
-        self, link: str, name: str, report: Callable[[str], None] = lambda _: None, *, pid: str = "", rejoin: str = ""
-    ) -> None:
+        self, link: str, name: str, report: Callable[[str], None] = lambda _: None, *, pid: str = "", rejoin: str = "",
+        right: Mapping[tuple[str, str], float] | None = None,
+    ) -> None:  # fmt: skip
         """
         Args:
             link: Of the study.
             name: What chance follows from.
             report: Called with what ended an episode.
             pid: Its PROLIFIC_PID (default: 24 hexadecimal digits that follow from the name).
+            right: Right answers to checks, by form and item, which pages are not told.
             rejoin: Code by which it goes on where it was (`h3data_viewers.hitl.study.pseudonyms.rejoin_code`).
         """
         super().__init__(link)
-        self.name, self.report, self.rejoin = name, report, rejoin
+        self.name, self.report, self.rejoin, self.right = name, report, rejoin, right or {}
         self.pid = pid or hashlib.sha256(name.encode()).hexdigest()[:24]
         self.chance = random.Random(name)
         """Of the episode."""
@@ -65,7 +67,12 @@ class ScriptedParticipant(Client):
             elif kind == "form":
                 await self._ask(
                     "api/study/form",
-                    {"form": self.stage["form"], "block": self.stage["block"], "answers": self.answers()},
+                    {
+                        "form": self.stage["form"],
+                        "block": self.stage["block"],
+                        "trial": self.stage["trial"],
+                        "answers": self.answers(),
+                    },
                 )
             else:
                 await self._episode(is_tutorial=kind == "tutorial")
@@ -78,11 +85,13 @@ class ScriptedParticipant(Client):
         return self.view["stage"]
 
     def answers(self) -> dict[str, Any]:
-        """Random answers to the items of the form that is next."""
+        """Answers to the items of the form that is next, at random where there is no right one."""
         chance = random.Random(f"{self.name}/{self.stage['form']}/{self.view['progress']['done']}")
         answers: dict[str, Any] = {}
         for item in self.stage["items"]:
-            if item["kind"] == "scale":
+            if (self.stage["form"], item["id"]) in self.right:
+                answers[item["id"]] = self.right[self.stage["form"], item["id"]]
+            elif item["kind"] == "scale":
                 answers[item["id"]] = chance.randrange(
                     int(item["min"]), int(item["max"]) + 1, int(item.get("step") or 1)
                 )

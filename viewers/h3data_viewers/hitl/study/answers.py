@@ -9,8 +9,9 @@ from itertools import combinations
 import numpy as np
 
 from h3data.stats import adjust_p_values, compare_paired, t_interval
-from h3data_viewers.hitl.study.design import Design, Form
-from h3data_viewers.hitl.study.forms import forms_after, score
+from h3data_viewers.hitl.study.design import Design, Form, Item
+from h3data_viewers.hitl.study.flow import CHECK, Stage
+from h3data_viewers.hitl.study.forms import score
 from h3data_viewers.hitl.study.store import Participant
 
 Answers = dict[str, float | str]
@@ -46,25 +47,32 @@ class FormDifference:
 
 def filled(design: Design, person: Participant) -> Iterator[tuple[Form, str, Answers]]:
     """A participant's forms with their condition (empty: of none) and answers."""
-    for row, data in person.progress.rows.items():
-        kind, *rest = row.split("/")
-        if kind != "form":
-            continue
-        at_end = rest[0] == "end" and len(rest) == 2
-        condition = person.progress.place.blocks[int(rest[0]) - 1].condition if len(rest) == 2 and not at_end else ""
-        after = ("condition",) if condition else ("end",) if at_end else ("consent", "end")
-        form = next(f for what in after for f in forms_after(design, what, condition) if f.id == data["form"])
-        yield form, condition, data["answers"]
+    del design
+    for _, form, condition, answers in filled_stages(person):
+        yield form, condition, answers
+
+
+def filled_stages(person: Participant) -> Iterator[tuple[Stage, Form, str, Answers]]:
+    """As `filled`, with the stage in which each form was asked."""
+    progress = person.progress
+    for stage in progress.stages:
+        if stage.kind == "form" and stage.key in progress.rows:
+            form, condition = progress.form_of(stage)
+            yield stage, form, condition, progress.rows[stage.key]["answers"]
 
 
 def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[FormMean], list[FormDifference]]:
     """Means of all forms with scales by condition, and the paired differences of conditions."""
-    scores: dict[str, dict[str, dict[str, float]]] = {}
+    given: dict[str, dict[str, dict[str, list[float]]]] = {}
     for person in people:
         for form, condition, answers in filled(design, person):
             value = score(form, answers)
-            if condition and value is not None:
-                scores.setdefault(form.id, {}).setdefault(condition, {})[person.id] = value
+            if condition and value is not None:  # questions after each episode are asked several times in a condition
+                given.setdefault(form.id, {}).setdefault(condition, {}).setdefault(person.id, []).append(value)
+    scores = {
+        form: {name: {who: float(np.mean(values)) for who, values in by.items()} for name, by in conditions.items()}
+        for form, conditions in given.items()
+    }
     means, differences = [], []
     for form_id, by_condition in scores.items():
         names = [c.name for c in design.conditions if c.name in by_condition]
@@ -89,14 +97,40 @@ def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[Form
 
 def answer_rows(design: Design, people: Sequence[Participant], *, free_text: bool) -> list[list[str]]:
     """All answers, a row each, with a header; what people wrote themselves only with ``free_text``: it may say who they are."""
-    rows = [["participant", "condition", "form", "item", "kind", "after", "answer"]]
+    del design
+    rows = [["participant", "condition", "form", "item", "kind", "block", "trial", "right", "after", "answer"]]
     for person in people:
-        for form, condition, answers in filled(design, person):
-            kinds = {item.id: item.kind for item in form.items}
+        for stage, form, condition, answers in filled_stages(person):
+            items = {item.id: item for item in form.items}
             rows += [
-                [person.id, condition, form.id, item, kinds[item], form.after,
+                [person.id, condition, form.id, item, items[item].kind, str(stage.block) if condition else "",
+                 str(stage.trial or ""), _right(items[item], value), form.after,
                  value if isinstance(value, str) else f"{value:g}"]
                 for item, value in answers.items()
-                if free_text or kinds[item] != "text"
+                if free_text or items[item].kind != "text"
             ]  # fmt: skip
     return rows
+
+
+def check_rows(people: Sequence[Participant]) -> list[list[str]]:
+    """Every answer to a check, those that were given again included, a row each, with a header."""
+    rows = [["participant", "stage", "form", "attempt", "item", "answer", "right"]]
+    for person in people:
+        progress = person.progress
+        for stage in progress.stages:
+            form = progress.form_of(stage)[0] if stage.kind == "form" else None
+            if form is None or not form.has_checks:
+                continue
+            keys = [*(key for key in progress.rows if key.startswith(f"{CHECK}/{stage.key}/")), stage.key]
+            for data in (progress.rows[key] for key in keys if key in progress.rows):
+                rows += [
+                    [person.id, stage.key, form.id, str(data["attempt"]), item.id, f"{data['answers'].get(item.id, '')}",
+                     _right(item, data["answers"].get(item.id))]
+                    for item in form.items
+                    if item.right is not None
+                ]  # fmt: skip
+    return rows
+
+
+def _right(item: Item, answer: float | str | None) -> str:
+    return "" if item.right is None else str(int(item.is_right(answer)))

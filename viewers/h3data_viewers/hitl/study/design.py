@@ -96,6 +96,29 @@ class Recruiting(Record, frozen=True):
     """Opened at the end; ``{code}`` stands for the code."""
     screen_out_code: str = ""
     screen_out_url: str = ""
+    unique_codes: bool = False
+    """Whether everybody who finishes gets a completion code of their own (``h3data study pay`` lists them)."""
+
+
+class Exclude(Record, frozen=True):
+    """A rule, written before anybody takes part, by which the report leaves out participants or episodes."""
+
+    name: Name
+    what: str
+    """A measure (`h3data_viewers.hitl.study.exclusions`)."""
+    of: Literal["participant", "trial"] = "participant"
+    above: float | None = None
+    below: float | None = None
+    """Left out is whoever is above the one or below the other."""
+
+
+class Bonus(Record, frozen=True):
+    """What participants who finish are paid beyond the fixed reward."""
+
+    base: Annotated[float, Meta(ge=0)] = 0.0
+    per_success: Annotated[float, Meta(ge=0)] = 0.0
+    """For each episode that ended with success."""
+    most: Annotated[float, Meta(ge=0)] | None = None
 
 
 class Item(Record, frozen=True):
@@ -115,6 +138,14 @@ class Item(Record, frozen=True):
     required: bool = True
     reversed: bool = False
     """A high answer counts as a low one in the mean of the form."""
+    right: float | list[float] | None = None
+    """The answer, or the answers, that are right (of a choice: the number of the option, from 0): the item is a check, and does
+    not count in the mean of the form. Pages are not told it."""
+
+    def is_right(self, answer: float | str | None) -> bool:
+        """Whether an answer passes; every answer does where the item is no check."""
+        right = [self.right] if isinstance(self.right, int | float) else self.right
+        return right is None or answer in right
 
 
 class Form(Record, frozen=True):
@@ -123,12 +154,24 @@ class Form(Record, frozen=True):
     id: Annotated[str, Meta(pattern=r"^([A-Za-z0-9][A-Za-z0-9_.-]{0,39})?$")] = ""
     builtin: str = ""
     """``nasa_tlx``, ``fluency`` or ``trust`` instead of items of one's own."""
-    after: Literal["consent", "condition", "end"] = "condition"
+    after: Literal["consent", "tutorial", "trial", "condition", "end"] = "condition"
+    """``trial``: after each episode."""
+    attempts: Count = 1
+    """How often checks (items with ``right``) may be answered."""
+    fail: Literal["screen_out", "note"] = "screen_out"
+    """What follows when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
+    again: Text = ""
+    """Said above the form when a check was not passed and there is another attempt."""
     conditions: list[str] = []
     """Only after these (default: all; built-in forms about the robot leave out those without one)."""
     title: Text = ""
     text: Text = ""
     items: list[Item] = []
+
+    @property
+    def has_checks(self) -> bool:
+        """Whether some answers are right and others wrong."""
+        return any(item.right is not None for item in self.items)
 
 
 class Design(Record, frozen=True):
@@ -159,8 +202,10 @@ class Design(Record, frozen=True):
     dropout: DropOut = DropOut()
     recruiting: Recruiting = Recruiting()
     forms: list[Form] = []
+    exclude: list[Exclude] = []
+    bonus: Bonus | None = None
     texts: dict[str, dict[str, str]] = {}
-    """Words of the pages, by language and name, that differ from the built-in English ones."""
+    """Words of the pages, by language and name, that differ from the built-in ones."""
 
     def condition(self, name: str) -> Condition:
         """The condition with a name."""
@@ -170,7 +215,12 @@ class Design(Record, frozen=True):
         """A text in a language; in the study's first one where it has none in that."""
         if isinstance(text, str):
             return text
-        return text.get(language) or text.get(self.languages[0]) or next(iter(text.values()), "")
+        return (
+            text.get(language)
+            or text.get(language.partition("-")[0])
+            or text.get(self.languages[0])
+            or next(iter(text.values()), "")
+        )
 
 
 class Block(msgspec.Struct, frozen=True):

@@ -15,11 +15,12 @@ from h3data.habitat.scene_names import named_scenes
 from h3data.metrics import plan_sessions
 from h3data_viewers.hitl.live import Table
 from h3data_viewers.hitl.plan import PlayPlan
-from h3data_viewers.hitl.study.design import Block, Condition, Consent, Design, Form, Place, StudyPlan, Text
-from h3data_viewers.hitl.study.forms import BUILTIN, resolved
+from h3data_viewers.hitl.study.design import Block, Condition, Consent, Design, Exclude, Form, Place, StudyPlan, Text
+from h3data_viewers.hitl.study.exclusions import PARTICIPANT_MEASURES, TRIAL_MEASURES
+from h3data_viewers.hitl.study.forms import BUILTIN, checked_answers, resolved
 from h3data_viewers.hitl.study.pseudonyms import IDS
 from h3data_viewers.hitl.study.store import DATABASE, StudyStore
-from h3data_viewers.hitl.study.texts import ENGLISH
+from h3data_viewers.hitl.study.texts import ENGLISH, LIVE, SHIPPED, missing, shipped
 from sim_kinematic.policies.learned import PREFIX as WEIGHTS
 from sim_kinematic.policies.learned import stamped
 
@@ -121,11 +122,14 @@ def _check(design: Design) -> None:
     for language, words in design.texts.items():
         if language not in design.languages:
             raise InputError(f"[texts.{language}] is of a language that languages does not name.")
-        if unknown := [name for name in words if name not in ENGLISH]:
+        known = [*ENGLISH, *(f"live_{name}" for name in LIVE)]
+        if unknown := [name for name in words if name not in known]:
             raise InputError(
-                f"There is no text {unknown[0]!r} in [texts.{language}].{did_you_mean(unknown[0], ENGLISH)} Expected some of: "
-                f"{', '.join(ENGLISH)}."
+                f"There is no text {unknown[0]!r} in [texts.{language}].{did_you_mean(unknown[0], known)} Expected some of: "
+                f"{', '.join(known)}."
             )
+    for language in design.languages:
+        _check_language(design, language)
     _check_patterns(design.recruiting.id_pattern)
     names = {c.name for c in design.conditions}
     forms = [resolved(_known(form)) for form in design.forms]
@@ -134,20 +138,72 @@ def _check(design: Design) -> None:
             raise InputError('Every one of [[forms]] needs a builtin, or an id and items: builtin = "nasa_tlx".')
         if strangers := set(form.conditions) - names:
             raise InputError(f"The form {form.id} names a condition that is not there: {sorted(strangers)[0]}.")
-        if form.conditions and form.after != "condition":
-            raise InputError(f'The form {form.id} names conditions, so it needs after = "condition".')
+        if form.conditions and form.after not in ("condition", "trial"):
+            raise InputError(f'The form {form.id} names conditions, so it needs after = "condition" or "trial".')
         _distinct(f"items of the form {form.id}", [item.id for item in form.items])
+        _check_answers(form)
         for item in form.items:
             if item.kind == "choice" and len(item.options) < 2:
                 raise InputError(f"The choice {item.id} of the form {form.id} needs two options or more.")
             if not item.min < item.max:
                 raise InputError(f"The item {item.id} of the form {form.id} needs a min below its max.")
-    _distinct("forms", [f"{form.id} after the {form.after}" for form in forms])
+    # practice has no number by which a page could tell the two apart
+    _distinct("forms", [f"{form.id} after the {form.after}".replace("tutorial", "consent") for form in forms])
+    _distinct("rules of [[exclude]]", [rule.name for rule in design.exclude])
+    for rule in design.exclude:
+        _check_rule(rule)
+    if design.recruiting.unique_codes and design.recruiting.completion_code:
+        raise InputError("Give completion_code, or unique_codes = true, not both.")
     for text in _texts(design):
         if isinstance(text, dict) and (strange := set(text) - set(design.languages)):
             raise InputError(f"A text is in the language {sorted(strange)[0]!r}, which languages does not name.")
-        if isinstance(text, dict) and design.languages[0] not in text:
-            raise InputError(f"A text lacks the study's first language, {design.languages[0]!r}: {text}")
+        if isinstance(text, dict) and (lacks := [language for language in design.languages if language not in text]):
+            raise InputError(f"A text lacks the study's language {lacks[0]!r}: {text}")
+
+
+def _check_language(design: Design, language: str) -> None:
+    """A participant reads everything in one language."""
+    lacks = missing(design, language)
+    if lacks:
+        shown = ", ".join(lacks[:8]) + (f" and {len(lacks) - 8} more" if len(lacks) > 8 else "")
+        raise InputError(
+            f"There are no texts in the language {language!r}: the package has {', '.join(SHIPPED)}. Expected in "
+            f"[texts.{language}] also: {shown}."
+        )
+    if shipped(language) is None and (builtin := [form.builtin for form in design.forms if form.builtin]):
+        raise InputError(
+            f"The built-in form {builtin[0]} has no texts in the language {language!r}, only in {', '.join(SHIPPED)}. Expected "
+            "a form with items of its own."
+        )
+
+
+def _check_answers(form: Form) -> None:
+    """Checks that what is right in a form can be answered, and is not told by a rule without any check."""
+    for item in form.items:
+        right = [item.right] if isinstance(item.right, int | float) else item.right
+        if right is None:
+            continue
+        if item.kind == "text" or not right:
+            raise InputError(
+                f"The item {item.id} of the form {form.id} needs numbers as right answers, and is no text."
+            )
+        for value in right:
+            why = checked_answers(Form(id=form.id, items=[item]), {item.id: value})[1]
+            if why:
+                raise InputError(f"The right answer of the item {item.id} of the form {form.id} cannot be given. {why}")
+    if not form.has_checks and (form.attempts != 1 or form.fail != "screen_out" or form.again):
+        raise InputError(f"The form {form.id} has attempts, fail or again, so one of its items needs a right answer.")
+
+
+def _check_rule(rule: Exclude) -> None:
+    measures = PARTICIPANT_MEASURES if rule.of == "participant" else TRIAL_MEASURES
+    if rule.what not in measures:
+        raise InputError(
+            f"The rule {rule.name} of [[exclude]] asks for {rule.what!r}.{did_you_mean(rule.what, measures)} Expected for "
+            f'of = "{rule.of}" one of: {", ".join(measures)}.'
+        )
+    if rule.above is None and rule.below is None:
+        raise InputError(f"The rule {rule.name} of [[exclude]] needs above or below.")
 
 
 def with_id_pattern(design: Design, pattern: str | dict[str, str] | None) -> Design:
@@ -180,7 +236,7 @@ def _texts(design: Design) -> list[Text]:
     texts: list[Text] = [design.title, design.about, design.consent.text, design.tutorial.text]
     texts += [c.text for c in design.conditions]
     for form in design.forms:
-        texts += [form.title, form.text]
+        texts += [form.title, form.text, form.again]
         for item in form.items:
             texts += [item.text, item.low, item.high, *item.options]
     return texts

@@ -9,13 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from h3data_viewers.hitl.study.design import Design, Place
-from h3data_viewers.hitl.study.forms import checked_answers, forms_after
+from h3data_viewers.hitl.study.design import Design, Form, Place
+from h3data_viewers.hitl.study.forms import checked_answers, forms_after, wrong_items
 
 ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN = "active", "complete", "screened_out", "dropped", "withdrawn"
 STATUSES = (ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN)
 SMALL = "small_window"
 """Why a device is refused for now; also the row of its last report."""
+CHECK, FAILED = "check", "failed_check"
+"""Rows of answers that did not pass a form's checks; why somebody was screened out who did not pass in the last attempt."""
 PASSED = "success"
 """How an episode of the tutorial ends that has been passed."""
 
@@ -32,8 +34,10 @@ class Stage:
     block: int = 0
     """From 1; 0: before the blocks; of forms at the end, one more than there are blocks."""
     trial: int = 0
-    """Of an episode, within its block, from 1."""
+    """Of an episode and of a form after it, within its block, from 1."""
     form: str = ""
+    after: str = ""
+    """Of a form: `Form.after`."""
     row: str = ""
     """`key`, where that does not follow from the above."""
 
@@ -47,15 +51,20 @@ def stages_of(design: Design, place: Place) -> tuple[Stage, ...]:
     """Everything that a participant does after having consented."""
     stages = [Stage("device")]
     first = [form.id for form in forms_after(design, "consent")]
-    stages += [Stage("form", form=form) for form in first]
+    stages += [Stage("form", form=form, after="consent") for form in first]
     if not design.tutorial.skip:
         stages.append(Stage("tutorial"))
+    stages += [Stage("form", form=form.id, after="tutorial") for form in forms_after(design, "tutorial")]
     for k, block in enumerate(place.blocks, 1):
-        stages += [Stage("episode", k, trial) for trial in range(1, len(block.episodes) + 1)]
-        stages += [Stage("form", k, form=form.id) for form in forms_after(design, "condition", block.condition)]
+        asked = [form.id for form in forms_after(design, "trial", block.condition)]
+        for trial in range(1, len(block.episodes) + 1):
+            stages.append(Stage("episode", k, trial))
+            stages += [Stage("form", k, trial, form, "trial", f"form/{k}/{trial}/{form}") for form in asked]
+        forms = forms_after(design, "condition", block.condition)
+        stages += [Stage("form", k, form=form.id, after="condition") for form in forms]
     for form in forms_after(design, "end"):
         row = f"form/end/{form.id}" if form.id in first else f"form/{form.id}"
-        stages.append(Stage("form", len(place.blocks) + 1, form=form.id, row=row))
+        stages.append(Stage("form", len(place.blocks) + 1, form=form.id, after="end", row=row))
     return tuple(stages)
 
 
@@ -117,13 +126,17 @@ class Progress:
             self.end(SCREENED_OUT, reason)
         return self._note({"device": report})
 
-    def answer(self, form_id: str, answers: dict[str, Any], block: int | None = None) -> dict[str, dict[str, Any]]:
-        """Takes the answers of the form that is next.
+    def answer(
+        self, form_id: str, answers: dict[str, Any], block: int | None = None, trial: int | None = None
+    ) -> dict[str, dict[str, Any]]:
+        """Takes the answers of the form that is next. Where they do not pass its checks, it is asked again, or, after the last
+        attempt, noted and perhaps the end.
 
         Args:
             form_id: The form that was filled in.
             answers: By item.
             block: The block that it was filled in for (`Stage.block`); None: the present one.
+            trial: The episode of the block, likewise.
 
         Returns:
             The new rows.
@@ -132,12 +145,24 @@ class Progress:
             NotNow: another form is next, or an answer is missing or impossible.
         """
         stage = self._require("form")
-        if stage.form != form_id or block not in (None, stage.block):
+        if stage.form != form_id or block not in (None, stage.block) or trial not in (None, stage.trial):
             raise NotNow("This form has been answered, or comes later. Reload the page.")
         taken, why = checked_answers(self.form, answers)
         if why:
             raise NotNow(why)
-        return self._note({stage.key: {"form": form_id, "answers": taken}})
+        filled: dict[str, Any] = {"form": form_id, "answers": taken}
+        if self.form.has_checks:
+            filled |= {"wrong": wrong_items(self.form, taken), "attempt": self.tries + 1}
+            if filled["wrong"] and filled["attempt"] < self.form.attempts:
+                return self._note({f"{CHECK}/{stage.key}/{filled['attempt']}": filled})
+            if filled["wrong"] and self.form.fail == "screen_out":
+                self.end(SCREENED_OUT, FAILED)
+        return self._note({stage.key: filled})
+
+    @property
+    def tries(self) -> int:
+        """How often the form that is next has been answered without passing its checks."""
+        return sum(key.startswith(f"{CHECK}/{self.stage.key}/") for key in self.rows)
 
     def require_here(self, block: int | None, trial: int | None) -> None:
         """
@@ -149,13 +174,16 @@ class Progress:
             raise NotNow("This page is of an earlier part of the study. Reload it.")
 
     @property
-    def form(self) -> Any:
+    def form(self) -> Form:
         """The form that is next."""
         stage = self.stage
-        in_block = 0 < stage.block <= len(self.place.blocks)
-        after = "condition" if in_block else "end" if stage.block else "consent"
-        condition = self.place.blocks[stage.block - 1].condition if in_block else ""
-        return next(form for form in forms_after(self.design, after, condition) if form.id == stage.form)
+        return self.form_of(stage)[0]
+
+    def form_of(self, stage: Stage) -> tuple[Form, str]:
+        """The form of a stage, and the condition that it is about (empty: none)."""
+        condition = self.place.blocks[stage.block - 1].condition if stage.after in ("trial", "condition") else ""
+        forms = forms_after(self.design, stage.after, condition)
+        return next(form for form in forms if form.id == stage.form), condition
 
     # --- what games do ------------------------------------------------------------------------------------------------
     def over(self, key: str, result: dict[str, Any]) -> dict[str, dict[str, Any]]:

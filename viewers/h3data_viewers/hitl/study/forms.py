@@ -13,6 +13,7 @@ import math
 from typing import Any
 
 from h3data_viewers.hitl.study.design import Design, Form, Item
+from h3data_viewers.hitl.study.texts import in_all_languages
 
 LONGEST_TEXT = 4000
 """Characters of a free answer."""
@@ -30,7 +31,7 @@ def _load(name: str, title: str, question: str, low: str = "Very low", high: str
     return Item(id=name, text=f"{title}: {question}", low=low, high=high, min=0, max=100, step=5)
 
 
-BUILTIN: dict[str, Form] = {
+_ENGLISH: dict[str, Form] = {
     "nasa_tlx": Form(
         title="How was the task?",
         text="Please rate the episodes that you have just played.",
@@ -78,23 +79,27 @@ BUILTIN: dict[str, Form] = {
         ],
     ),
 }  # fmt: skip
+BUILTIN = {name: in_all_languages(name, form) for name, form in _ENGLISH.items()}
+"""Questionnaires by name. The German and Spanish words are our translations; nobody has validated them."""
 ABOUT_ROBOT = ("fluency", "trust")
 """These make no sense where nobody else was there."""
 
 
 def resolved(form: Form) -> Form:
-    """A form with its items: those of the built-in one that it names, under its own title and text, if it has them."""
+    """A form with its items: those of the built-in one that it names, then its own, such as a check, under its own title and
+    text, if it has them."""
     if not form.builtin:
         return form
     base = BUILTIN[form.builtin]
     return Form(
         id=form.id or form.builtin, builtin=form.builtin, after=form.after, conditions=form.conditions,
-        title=form.title or base.title, text=form.text or base.text, items=base.items,
+        title=form.title or base.title, text=form.text or base.text, items=[*base.items, *form.items],
+        attempts=form.attempts, fail=form.fail, again=form.again,
     )  # fmt: skip
 
 
 def forms_after(design: Design, what: str, condition: str = "") -> list[Form]:
-    """The forms after consent, after a condition's episodes, or at the end."""
+    """The forms after consent, practice, each episode of a condition, all of them, or at the end."""
     found = []
     for form in map(resolved, design.forms):
         if form.after != what or (condition and form.conditions and condition not in form.conditions):
@@ -131,11 +136,26 @@ def checked_answers(form: Form, answers: dict[str, Any]) -> tuple[dict[str, floa
     return taken, ""
 
 
+def wrong_items(form: Form, answers: dict[str, float | str]) -> list[str]:
+    """The checks of a form that its answers do not pass."""
+    return [item.id for item in form.items if not item.is_right(answers.get(item.id))]
+
+
+def right_answers(design: Design) -> dict[tuple[str, str], float]:
+    """A right answer to each check of a study, by form and item."""
+    found: dict[tuple[str, str], float] = {}
+    for form in map(resolved, design.forms):
+        for item in form.items:
+            if item.right is not None:
+                found[form.id, item.id] = item.right if isinstance(item.right, int | float) else item.right[0]
+    return found
+
+
 def score(form: Form, answers: dict[str, float | str]) -> float | None:
-    """Mean of the answers on scales, reversed ones turned round; None without any."""
+    """Mean of the answers on scales, checks left out, reversed ones turned round; None without any."""
     values = [
         item.min + item.max - float(answers[item.id]) if item.reversed else float(answers[item.id])
         for item in form.items
-        if item.kind == "scale" and item.id in answers
+        if item.kind == "scale" and item.right is None and item.id in answers
     ]
     return sum(values) / len(values) if values else None

@@ -9,7 +9,7 @@ import sqlite3
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 from aiohttp import web
@@ -20,9 +20,10 @@ from h3data_viewers.hitl.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, Front
 from h3data_viewers.hitl.plan import GameOrder
 from h3data_viewers.hitl.seats import Game, Seat, new_token, uptime
 from h3data_viewers.hitl.study.design import StudyPlan
+from h3data_viewers.hitl.study.exclusions import FOCUS
 from h3data_viewers.hitl.study.flow import DROPPED, WITHDRAWN, NotNow
 from h3data_viewers.hitl.study.orders import game_key, order_of, row_of
-from h3data_viewers.hitl.study.pseudonyms import read_key, recruit_ids, refused_id, rejoin_code
+from h3data_viewers.hitl.study.pseudonyms import completion_code, read_key, recruit_ids, refused_id, rejoin_code
 from h3data_viewers.hitl.study.store import Participant, StudyStore
 from h3data_viewers.hitl.study.views import consent_view, end_view, stage_view
 
@@ -37,6 +38,7 @@ TOKEN_LENGTH = len(new_token())
 WATCH_S = 5.0
 """Who has dropped out is looked for this often."""
 MOST_PAUSES = 200
+MOST_FOCUS = 1000
 Short = Annotated[str, Meta(max_length=80)]
 Measure = Annotated[float, Meta(ge=0, le=1e6)]
 
@@ -83,6 +85,7 @@ class Filled(msgspec.Struct, frozen=True):
     answers: dict[Short, Any]
     block: int | None = None
     """As the view named it."""
+    trial: int | None = None
 
 
 class Pause(msgspec.Struct, frozen=True):
@@ -91,6 +94,16 @@ class Pause(msgspec.Struct, frozen=True):
     paused: bool
     block: int | None = None
     trial: int | None = None
+
+
+class Focus(msgspec.Struct, frozen=True):
+    """Body of ``api/study/focus``: the participant has turned to another window, or is back."""
+
+    away: bool
+    why: Literal["hidden", "blur"] = "blur"
+    """Whether the page was not to be seen, or only another window had the keys."""
+    ms: Annotated[float, Meta(ge=0, le=1e9)] = 0.0
+    """How long they were away, once they are back."""
 
 
 class Episode(msgspec.Struct, frozen=True):
@@ -152,6 +165,7 @@ class StudyFront(Front):
                 ("device", self.device),
                 ("form", self.form),
                 ("pause", self.pause),
+                ("focus", self.focus),
                 ("withdraw", self.withdraw),
             ):
                 app.router.add_post(f"{prefix}/api/study/{name}", act)
@@ -289,7 +303,11 @@ class StudyFront(Front):
             progress = participant.progress
             if body.block is None and sum(stage.form == body.form for stage in progress.stages) > 1:
                 raise NotNow("This form is asked more than once, and the answers do not say where. Reload the page.")
-            return progress.answer(body.form, body.answers, body.block)
+            if body.trial is None and progress.stage.trial:
+                raise NotNow(
+                    "This form is asked after each episode, and the answers do not say which. Reload the page."
+                )
+            return progress.answer(body.form, body.answers, body.block, body.trial)
 
         return self._act(request, answer)
 
@@ -305,6 +323,20 @@ class StudyFront(Front):
             return rows
 
         return self._act(request, note)
+
+    async def focus(self, request: web.Request) -> web.Response:
+        """Notes that the participant has turned to another window, or is back; being away is no activity."""
+        body, participant = await self._read(request, Focus), self._required(request)
+        progress = participant.progress
+        count = sum(key.startswith(f"{FOCUS}/") for key in progress.rows)
+        if participant.is_active and count < MOST_FOCUS:
+            left = progress.rows.get(f"{FOCUS}/{count}", {})
+            # who comes back after the end of an episode has been away from that one
+            stage = left["stage"] if left.get("away") and not body.away else progress.stage.key
+            row = {"away": body.away, "why": body.why, "seconds": round(body.ms / 1e3, 3), "stage": stage}
+            progress.rows[f"{FOCUS}/{count + 1}"] = row
+            self.journal.save(participant, {f"{FOCUS}/{count + 1}": row})
+        return web.Response(status=204)
 
     async def withdraw(self, request: web.Request) -> web.Response:
         """The participant stops taking part."""
@@ -408,7 +440,7 @@ class StudyFront(Front):
         stage = participant.progress.stage
         if stage.kind in ("tutorial", "episode"):  # while they read what comes next
             self.preparer.ask(order_of(self.study, participant, game_key(participant, stage)))
-        return stage_view(self.design, participant)
+        return stage_view(self.design, participant, own_code=completion_code(participant.id, self._key))
 
     async def _reseat(self, request: web.Request, participant: Participant, token: str) -> None:
         """Gives the seat to another browser; the one before is told so."""

@@ -60,6 +60,12 @@ def refused_id(given: dict[str, str], patterns: str | dict[str, str] | None) -> 
     return "", ""
 
 
+def completion_code(pseudonym: str, key: bytes) -> str:
+    """Return the completion code that only this participant gets: 10 letters and digits."""
+    code = hmac.digest(key, f"complete|{pseudonym}".encode(), hashlib.sha256)
+    return base64.b32encode(code[:7]).decode()[:10]
+
+
 def rejoin_code(pseudonym: str, seat: str, key: bytes) -> str:
     """Return the code by which a participant goes on in another browser, once: another seat has another code.
 

@@ -8,7 +8,7 @@ from typing import Any
 from h3data_viewers.hitl.study.design import Design, Form
 from h3data_viewers.hitl.study.flow import COMPLETE, SCREENED_OUT, SMALL
 from h3data_viewers.hitl.study.store import Participant
-from h3data_viewers.hitl.study.texts import words
+from h3data_viewers.hitl.study.texts import page_words, words
 
 
 def text_hash(text: str) -> str:
@@ -24,7 +24,7 @@ def _page(design: Design, language: str, stage: dict[str, Any], **more: Any) -> 
         "languages": list(design.languages),
         "participant": None,
         "progress": {"done": 0, "of": 0},
-        "words": words(design, language),
+        "words": page_words(design, language),
         "stage": stage,
     } | more
 
@@ -49,12 +49,14 @@ def consent_view(design: Design, language: str) -> dict[str, Any]:
     return _page(design, language, stage)
 
 
-def end_view(design: Design, language: str, status: str, reason: str = "", **more: Any) -> dict[str, Any]:
-    """The last page."""
+def end_view(
+    design: Design, language: str, status: str, reason: str = "", *, own_code: str = "", **more: Any
+) -> dict[str, Any]:
+    """The last page; with a completion code of the participant's own where the study has such."""
     said, recruiting = words(design, language), design.recruiting
     code, url = "", ""
     if status == COMPLETE:
-        code, url = recruiting.completion_code, recruiting.completion_url
+        code, url = (own_code if recruiting.unique_codes else recruiting.completion_code), recruiting.completion_url
     elif status == SCREENED_OUT:
         code, url = recruiting.screen_out_code, recruiting.screen_out_url
     because = said.get("tutorial_failed" if reason == "tutorial" else reason, reason)
@@ -70,13 +72,13 @@ def end_view(design: Design, language: str, status: str, reason: str = "", **mor
     return _page(design, language, stage, **more)
 
 
-def stage_view(design: Design, participant: Participant) -> dict[str, Any]:
-    """What a participant does next."""
+def stage_view(design: Design, participant: Participant, *, own_code: str = "") -> dict[str, Any]:
+    """What a participant does next; ``own_code`` as of `end_view`."""
     progress, language = participant.progress, participant.language
     stage, said = progress.stage, words(design, language)
     more = {"participant": participant.id, "progress": {"done": progress.done, "of": len(progress.stages)}}
     if stage.kind == "end":
-        return end_view(design, language, progress.status, progress.reason, **more)
+        return end_view(design, language, progress.status, progress.reason, own_code=own_code, **more)
     told: dict[str, Any] = {"kind": stage.kind}
     if stage.kind == "device":
         told["again"] = said["small_window_again"] if SMALL in progress.rows else ""
@@ -99,7 +101,12 @@ def stage_view(design: Design, participant: Participant) -> dict[str, Any]:
             else said["episode_next"],
         }
     elif stage.kind == "form":
-        told |= {"block": stage.block, **_form(design, progress.form, language)}
+        told |= {"block": stage.block, "trial": stage.trial, **_form(design, progress.form, language)}
+        told["again"] = ""
+        if progress.tries:
+            attempt, of = progress.tries + 1, progress.form.attempts
+            default = said["check_again"].format(attempt=attempt, of=of)
+            told["again"] = design.say(progress.form.again, language) or default
     return _page(design, language, told, **more)
 
 

@@ -1,7 +1,7 @@
 /** A session as it is played: what is pressed becomes messages, states become pictures, reasons become sentences. */
 
 import { Vector3, WebGLRenderer } from "three";
-import { deed, hints, holderText, situation, turnText, type Barriers, type Deed, type Situation } from "./player/actions.ts";
+import { deed, hints, holderText, situation, thumbText, type Barriers, type Situation } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
 import { Headset } from "./headset/xr.ts";
@@ -18,6 +18,7 @@ import { Steering } from "./motion/steering.ts";
 import { FLAG, type State } from "./link/wire.ts";
 import { isOpen } from "./scene/joints.ts";
 import { between, type World } from "./scene/world.ts";
+import { say } from "./words.ts";
 
 /** Others are shown this late, so that there are two states to go between. */
 const LATE_MS = 50;
@@ -95,6 +96,8 @@ export class Game {
     hud.show("button-leave", agent !== undefined);
     for (const [button, wish] of BUTTONS) hud.on(button, () => this.wish(wish), signal);
     if (agent) void this.offerHeadset(agent.drive);
+    const robot = manifest.agents.some((other, k) => other.kind === "robot" && k !== manifest.me);
+    hud.offers(!!agent && manifest.objects.length > 0, !!agent && manifest.joints.length > 0, robot);
     this.setView(agent ? "third" : "above");
     addEventListener("resize", () => this.resize(), { signal });
     this.resize();
@@ -166,14 +169,19 @@ export class Game {
 
   private doSomething(wish: Wish, now: Situation): void {
     if (wish === "cancel") this.stopWalkingTo(true);
-    else if (wish === "drop" && now.held >= 0) this.net.send({ k: "drop" });
-    else if (wish === "give" && now.held >= 0) {
-      if (now.robot >= 0) this.net.send({ k: "give", a: now.robot });
-      else this.refused("There is no robot near enough to give it to.");
-    } else if (wish === "turn") {
+    else if (wish === "drop" || wish === "give") this.letGo(wish, now);
+    else if (wish === "turn") {
       if (now.joint >= 0) this.turn(now.joint);
-      else this.hud.toast("Nothing in this home opens.");
+      else this.hud.toast(say("nothing_opens"));
     } else if (wish === "act" || wish === "goto") this.handle(now, wish === "goto");
+  }
+
+  private letGo(wish: "drop" | "give", now: Situation): void {
+    if (!this.manifest.objects.length) this.hud.toast(say("nothing_to_take"));
+    else if (now.held < 0) this.refused(say("empty_hand"));
+    else if (wish === "drop") this.net.send({ k: "drop" });
+    else if (now.robot >= 0) this.net.send({ k: "give", a: now.robot });
+    else this.refused(say("no_robot"));
   }
 
   /** Takes the next thing, opens what it is in, or puts down what is held; with `lead`, walks there first. */
@@ -187,7 +195,7 @@ export class Game {
       else if (goal) this.net.send({ k: "place", p: goal.position, lead });
     } else if (next.kind === "turn") this.turn(next.joint);
     else if (next.kind === "take") this.net.send({ k: "pick", o: next.thing, lead });
-    else this.hud.toast("Everything is where it belongs, or in somebody's hand.");
+    else this.hud.toast(say(this.manifest.goals.length ? "all_there" : "nothing_to_take"));
   }
 
   /** Opens or closes a door or drawer, and walks there first. */
@@ -200,7 +208,11 @@ export class Game {
     if (!this.now || this.ended || !this.steering) return;
     const [px, py] = document.pointerLockElement ? [0, 0] : [x, y];
     const target = this.pointing.target(px, py, this.camera.camera, this.now.held);
-    if (target.kind === "thing" && this.now.held < 0) this.net.send({ k: "pick", o: target.thing, lead: true });
+    const agent = this.pointing.agent(px, py, this.camera.camera);
+    if (agent >= 0) {
+      // somebody stands before what is there: not what was meant, and no place to walk to
+      if (this.now.held >= 0 && this.manifest.agents[agent]!.kind === "robot" && agent !== this.manifest.me) this.wish("give");
+    } else if (target.kind === "thing" && this.now.held < 0) this.net.send({ k: "pick", o: target.thing, lead: true });
     else if (target.kind === "joint") this.turn(target.joint);
     else if (target.kind === "top" && this.now.held >= 0)
       this.net.send({ k: "place", p: this.standing(target.point), lead: true });
@@ -313,7 +325,7 @@ export class Game {
 
   private placeAimedAt(now: Situation): Vector3 | null {
     const pointer = this.input.pointer;
-    if (pointer && this.input.device === "keys") {
+    if (pointer && this.input.device !== "touch" && this.input.device !== "pad") {
       const target = this.pointing.target(pointer.x, pointer.y, this.camera.camera, now.held);
       if (target.kind === "top" && Math.hypot(target.point.x - this.shown.x, target.point.z - this.shown.z) < 1.6)
         return new Vector3(...(this.standing(target.point) as [number, number, number]));
@@ -327,22 +339,16 @@ export class Game {
     this.hud.link(this.net.rtt, this.net.statesPerSecond);
     this.hud.time(state.step * this.manifest.dt);
     const plays = this.steering && !this.ended;
-    const busy: [string, string][] = [[this.input.device === "keys" ? "W" : "", "to steer yourself again"]];
-    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : hints(now, this.manifest, state, this.input.device, this.aim?.fits ?? null));
+    const { device } = this.input;
+    const busy: [string, string][] = device === "keys" || device === "mouse" ? [[say("steer_key"), say("steer_again")]] : [];
+    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : hints(now, this.manifest, state, device, this.aim?.fits ?? null), device);
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
       const who = holderText(this.manifest, state.things[k]!.held);
       const item = { thing: k, name: this.manifest.objects[k]!.label, done: now.done[k]! };
-      const where = `${now.shut[k] ? "shut in, " : ""}to the ${goal.label}`;
-      return { ...item, state: item.done ? "there" : who || where };
+      const where = say(now.shut[k] ? "shut_to_goal" : "to_goal", { goal: goal.label });
+      return { ...item, state: item.done ? say("there") : who || where };
     }));
-    this.hud.thumb(...([false, true].map((lead) => this.thumb(deed(now, lead), state, lead)) as [string, string]));
-  }
-
-  /** What a button under the thumb does now. */
-  private thumb(next: Deed, state: State, lead: boolean): string {
-    if (next.kind === "put") return lead ? "Bring it" : "Put down";
-    if (next.kind === "turn") return turnText(this.manifest, state, next.joint).startsWith("open") ? "Open" : "Close";
-    return lead ? "Fetch" : "Take";
+    this.hud.thumb(...([false, true].map((lead) => thumbText(this.manifest, state, deed(now, lead), lead)) as [string, string]));
   }
 
   private async offerHeadset(drive: Driving): Promise<void> {
@@ -360,7 +366,7 @@ export class Game {
     this.headset = headset;
     this.hud.show("button-vr", true);
     const enter = (): Promise<void> =>
-      headset.enter(() => this.resize()).catch((error: Error) => this.hud.toast(`The headset could not start: ${error.message}`));
+      headset.enter(() => this.resize()).catch((error: Error) => this.hud.toast(say("headset_failed", { reason: error.message })));
     this.hud.on("button-vr", () => void enter(), signal);
     if (headset.on) headset.wear(() => this.resize());
   }

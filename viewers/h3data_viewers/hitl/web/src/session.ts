@@ -9,6 +9,7 @@ import { unpacked } from "./link/packed.ts";
 import type { SdfShape } from "./motion/sdf.ts";
 import { installProbe, noteOver } from "./probe.ts";
 import { World } from "./scene/world.ts";
+import { heard, say } from "./words.ts";
 
 const query = new URLSearchParams(location.search);
 
@@ -31,14 +32,14 @@ export async function play(hud: Hud, around: Around = ALONE): Promise<void> {
   try {
     await begin(hud, around);
   } catch (error) {
-    const text = error instanceof Refused ? error.message : `The page could not start: ${String(error)}`;
-    hud.phase("refused", "This did not work", text, "Try again", () => location.reload());
+    const text = error instanceof Refused ? error.message : say("could_not_start", { reason: String(error) });
+    hud.phase("refused", say("failed"), text, say("try_again"), () => location.reload());
     if (!(error instanceof Refused)) throw error;
   }
 }
 
 async function begin(hud: Hud, around: Around, before?: Game): Promise<void> {
-  const seat = await takeSeat(around.asked(), (text) => hud.phase("loading", "Loading the home", text));
+  const seat = await takeSeat(around.asked(), (text) => hud.phase("loading", say("loading"), text));
   performance.mark("seat");
   const { manifest } = seat;
   const world = await World.load(seat.glb, manifest);
@@ -74,7 +75,7 @@ async function goOn(game: Game, hud: Hud, around: Around): Promise<void> {
     await begin(hud, around, game);
   } catch (error) {
     const text = error instanceof Refused ? error.message : String(error);
-    hud.phase("refused", "This did not work", text, "Try again", () => location.reload());
+    hud.phase("refused", say("failed"), text, say("try_again"), () => location.reload());
   }
 }
 
@@ -82,7 +83,7 @@ async function goOn(game: Game, hud: Hud, around: Around): Promise<void> {
 interface Message {
   why?: string;
   toast?: string;
-  hud?: { task: string; left_s?: number | null; lines?: string[]; marker?: [number, number, number] | null };
+  hud?: { task: string; left_s?: number | null; lines?: string[]; how?: Record<string, string>; marker?: [number, number, number] | null };
   /** For each thing the door or drawer to be opened before it is taken, and before it is put at its goal: what shuts it in,
    * or a door between rooms; -1: none. */
   barriers?: Barriers;
@@ -94,10 +95,11 @@ interface Message {
 }
 
 function hear(game: Game, hud: Hud, around: Around, message: Message): void {
-  if (message.why) game.refused(message.why);
-  if (message.toast) hud.toast(message.toast, "good");
+  if (message.why) game.refused(heard(message.why));
+  if (message.toast) hud.toast(heard(message.toast), "good");
   if (message.hud) {
-    hud.task(message.hud.task, message.hud.lines ?? [], message.hud.left_s ?? null);
+    const how = Object.entries(message.hud.how ?? {}).map(([device, text]) => [device, heard(text)]);
+    hud.task(heard(message.hud.task), (message.hud.lines ?? []).map(heard), message.hud.left_s ?? null, Object.fromEntries(how));
     game.mark(message.hud.marker ?? null);
   }
   if (message.barriers) game.barriers = message.barriers;
@@ -105,8 +107,8 @@ function hear(game: Game, hud: Hud, around: Around, message: Message): void {
     const { cells, ...map } = message.floor;
     void unpacked(cells).then((bytes) => game.sdf.replace(map, bytes.buffer));
   }
-  if (message.can) game.answer(message.can.p, message.can.why);
-  if (message.pause) hud.phase("paused", "The home stands still", message.pause);
+  if (message.can) game.answer(message.can.p, heard(message.can.why));
+  if (message.pause) hud.phase("paused", say("stands_still"), heard(message.pause));
   else if (message.pause === "") hud.phase("playing");
   if (message.over) over(game, hud, around, message.over);
 }
@@ -117,14 +119,14 @@ function over(game: Game, hud: Hud, around: Around, message: NonNullable<Message
   const success = ended === "success";
   game.over(success);
   game.net.close("");
-  const [title, said] = success ? ["Well done!", "Everything is where it belongs."] : ["The episode has ended", ""];
-  hud.phase("over", title, text ?? said, around.next || (next ? "Next episode" : ""), () => void goOn(game, hud, around));
+  const [title, said] = success ? [say("well_done"), say("all_done")] : [say("ended"), ""];
+  hud.phase("over", title!, text === undefined ? said! : heard(text), around.next || (next ? say("next_episode") : ""), () => void goOn(game, hud, around));
 }
 
 function linked(game: Game, hud: Hud, link: Link, why: string): void {
   if (link === "open") {
     game.reconnected();
     hud.phase("playing");
-  } else if (link === "lost") hud.phase("lost", "The connection was lost", "Your place is kept. Connecting again …");
-  else if (link === "closed" && why) hud.phase("refused", "This session has been closed", why, "Reload", () => location.reload());
+  } else if (link === "lost") hud.phase("lost", say("lost"), say("lost_text"));
+  else if (link === "closed" && why) hud.phase("refused", say("closed"), heard(why), say("reload"), () => location.reload());
 }

@@ -1,3 +1,4 @@
+import "./english.ts";
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Manifest } from "../src/link/manifest.ts";
@@ -67,4 +68,14 @@ test("who holds something puts it down: doors take an empty hand", () => {
   const [now, state] = at(3, 4, [[-1, 0], [-1, -1]], 0);
   for (const lead of [false, true]) assert.equal(deed(now, lead).kind, "put");
   assert.ok(!JSON.stringify(hints(now, MANIFEST, state, "keys", null)).includes("fridge"));
+});
+
+test("who clicks or taps is told of clicks and buttons, not of keys", () => {
+  const [far, state] = at(3, 4, NONE, -1, [], []);
+  const [held] = at(3, 4, NONE, 0, [], []);
+  for (const now of [far, held])
+    for (const device of ["mouse", "touch", "pad"])
+      for (const [key] of hints(now, MANIFEST, state, device, null)) assert.ok(!["E", "F", "G", "O", "Q"].includes(key), `${device}: ${key}`);
+  assert.deepEqual(hints(far, MANIFEST, state, "mouse", null), [["Click", "on the mug to walk there and take it"]]);
+  assert.deepEqual(hints(far, MANIFEST, state, "touch", null), [["Fetch", "walk to the mug and take it"]]);
 });

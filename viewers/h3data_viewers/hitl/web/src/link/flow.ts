@@ -3,6 +3,7 @@
 import type { Manifest } from "./manifest.ts";
 import { Floor } from "../motion/floor.ts";
 import { Sdf } from "../motion/sdf.ts";
+import { heard, say } from "../words.ts";
 
 export interface Seat {
   manifest: Manifest;
@@ -26,10 +27,11 @@ const BUSY_TRIES = 40;
 const BUSY_MS = 3000;
 
 export async function takeSeat(asked: object, progress: (text: string) => void): Promise<Seat> {
-  progress("The home is being set up.");
+  progress(say("setting_up"));
   const answer = await seat(asked, progress);
   const manifest = answer.manifest as Manifest;
-  progress("The home is on its way.");
+  for (const named of [...manifest.objects, ...manifest.goals, ...manifest.joints]) named.label = heard(named.label);
+  progress(say("on_its_way"));
   const [glb, grid] = await Promise.all([bytes(answer.glb as string), bytes(manifest.sdf.url)]);
   const url = new URL(answer.socket as string, location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -44,21 +46,21 @@ async function seat(asked: object, progress: (text: string) => void): Promise<Re
       return await post("api/session", asked);
     } catch (error) {
       if (!(error instanceof Refused) || error.status !== BUSY || k === BUSY_TRIES) throw error;
-      progress(`${error.message} This page tries by itself.`);
+      progress(say("tries", { text: error.message }));
       await new Promise((resolve) => setTimeout(resolve, BUSY_MS));
     }
   }
 }
 
-export async function post(path: string, body: unknown): Promise<Record<string, unknown>> {
+export async function post(path: string, body: unknown, more: RequestInit = {}): Promise<Record<string, unknown>> {
   const headers = { "Content-Type": "application/json" };
-  const response = await fetch(path, { method: "POST", headers, body: JSON.stringify(body) });
-  if (!response.ok) throw new Refused(await response.text(), response.status);
-  return (await response.json()) as Record<string, unknown>;
+  const response = await fetch(path, { method: "POST", headers, body: JSON.stringify(body), ...more });
+  if (!response.ok) throw new Refused(heard(await response.text()), response.status);
+  return response.status === 204 ? {} : ((await response.json()) as Record<string, unknown>);
 }
 
 async function bytes(path: string): Promise<ArrayBuffer> {
   const response = await fetch(path);
-  if (!response.ok) throw new Refused(`The server has no ${path} (${response.status}). Reload the page.`, response.status);
+  if (!response.ok) throw new Refused(say("no_file", { path, status: response.status }), response.status);
   return response.arrayBuffer();
 }

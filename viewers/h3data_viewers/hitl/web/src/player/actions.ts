@@ -1,5 +1,6 @@
 /** What the player can do from where they stand, and what of it is asked for. */
 
+import { say } from "../words.ts";
 import type { Base } from "../motion/drive.ts";
 import { isOpen } from "../scene/joints.ts";
 import type { Manifest } from "../link/manifest.ts";
@@ -80,46 +81,79 @@ export function situation(
 }
 
 /** Open or close, whichever a door or drawer is not. */
-export function turnText(manifest: Manifest, state: State, joint: number): string {
+export function turnText(manifest: Manifest, state: State, joint: number, how = ""): string {
   const info = manifest.joints[joint]!;
-  return `${isOpen(info, state.joints[joint]!) ? "close" : "open"} the ${info.label}`;
+  return say(`${how}${isOpen(info, state.joints[joint]!) ? "close" : "open"}`, { joint: info.label });
 }
 
-/** Where the next thing is, or belongs, as seen from what has to be opened first. */
-function whereText(manifest: Manifest, now: Situation): string {
-  if (manifest.joints[now.first]!.passage) return now.forGoal ? "belongs behind it" : "is behind it";
-  return now.forGoal ? "goes there" : "is in it";
+/** What opens the way to the next thing, and why: where the thing is, or belongs, as seen from what has to be opened first. */
+function openingText(manifest: Manifest, state: State, now: Situation, how: string): string {
+  const through = manifest.joints[now.first]!.passage;
+  const where = through ? (now.forGoal ? "belongs" : "behind") : now.forGoal ? "goes" : "in";
+  const values = { deed: turnText(manifest, state, now.first, how), thing: manifest.objects[now.next]!.label };
+  return say(`because_${where}`, values);
 }
 
-/** Keys and what they do now. `fits`: whether what is held may be put where the preview shows it; null if nobody knows. */
+/** What a button under the thumb does now. */
+export function thumbText(manifest: Manifest, state: State, next: Deed, lead: boolean): string {
+  if (next.kind === "put") return say(lead ? "thumb_bring" : "thumb_put");
+  if (next.kind === "turn") return say(isOpen(manifest.joints[next.joint]!, state.joints[next.joint]!) ? "thumb_close" : "thumb_open");
+  return say(lead ? "thumb_fetch" : "thumb_take");
+}
+
+/** Keys, buttons or clicks, whatever the player acts with, and what they do now. `fits`: whether what is held may be put where
+ * the preview shows it; null if nobody knows. */
 export function hints(
   now: Situation, manifest: Manifest, state: State, device: string, fits: boolean | null,
 ): [string, string][] {
-  const [act, go, turn] = device === "pad" ? ["A", "X", "LB"] : device === "touch" ? ["", "", ""] : ["E", "F", "O"];
-  const name = (k: number): string => `the ${manifest.objects[k]!.label}`;
+  if (device === "mouse") return clicks(now, manifest, state);
+  const touch = device === "touch";
+  const [act, go, turn] =
+    device === "pad" ? ["A", "X", "LB"]
+    : touch ? [thumbText(manifest, state, deed(now, false), false), thumbText(manifest, state, deed(now, true), true), say("tap")]
+    : ["E", "F", "O"];
+  const name = (k: number): string => manifest.objects[k]!.label;
   if (now.held >= 0) {
     const goal = manifest.goals[now.held];
-    const to = goal ? `the ${goal.label}` : "a free place";
+    const values = { thing: name(now.held), goal: goal?.label };
+    const free = goal ? "" : "_free";
     const parts: [string, string][] =
-      now.far < NEAR_M && fits !== false ? [[act, `put ${name(now.held)} on ${to}`]] : [[go, `walk to ${to} and put ${name(now.held)} there`]];
-    if (now.robot >= 0 && device === "keys") parts.push(["G", "give it to the robot"]);
+      now.far < NEAR_M && fits !== false ? [[act!, say(`put${free}`, values)]] : [[go!, say(`bring${free}`, values)]];
+    if (now.robot >= 0 && touch) parts.push([say("tap"), say("click_give", values)]);
+    else if (now.robot >= 0 && device === "keys") parts.push(["G", say("give")]);
     return parts;
   }
   const parts: [string, string][] = [];
   const takes = deed(now, false).kind === "take";
-  if (takes && now.far < NEAR_M) parts.push([act, `take ${name(now.next)}`]);
-  if (now.first >= 0)
-    parts.push([go, `${turnText(manifest, state, now.first)}: ${name(now.next)} ${whereText(manifest, now)}`]);
-  else if (now.next >= 0 && now.far >= NEAR_M) parts.push([go, `walk to ${name(now.next)} and take it`]);
-  if (now.jointFar < NEAR_M && now.joint !== now.first && turn) parts.push([turn, turnText(manifest, state, now.joint)]);
+  if (takes && now.far < NEAR_M) parts.push([act!, say("take", { thing: name(now.next) })]);
+  if (now.first >= 0) parts.push([go!, openingText(manifest, state, now, "")]);
+  else if (now.next >= 0 && now.far >= NEAR_M) parts.push([go!, say("fetch", { thing: name(now.next) })]);
+  if (now.jointFar < NEAR_M && now.joint !== now.first)
+    parts.push([turn!, turnText(manifest, state, now.joint, touch ? "click_" : "")]);
   return parts;
+}
+
+/** The same for somebody with a mouse. */
+function clicks(now: Situation, manifest: Manifest, state: State): [string, string][] {
+  const does: string[] = [];
+  if (now.held >= 0) {
+    const goal = manifest.goals[now.held];
+    const values = { thing: manifest.objects[now.held]!.label, goal: goal?.label };
+    does.push(say(goal ? "click_put" : "click_put_free", values));
+    if (now.robot >= 0) does.push(say("click_give", values));
+  } else {
+    if (now.first >= 0) does.push(openingText(manifest, state, now, "click_"));
+    else if (now.next >= 0) does.push(say("click_take", { thing: manifest.objects[now.next]!.label }));
+    if (now.jointFar < NEAR_M && now.joint !== now.first) does.push(turnText(manifest, state, now.joint, "click_"));
+  }
+  return does.map((text) => [say("click"), text]);
 }
 
 /** Who has a thing, for the list; empty: nobody. */
 export function holderText(manifest: Manifest, holder: number): string {
   const { agents, me } = manifest;
   if (holder < 0) return "";
-  if (holder === me) return "in your hand";
-  if (agents[holder]!.kind === "robot") return "the robot has it";
-  return agents[me]?.kind === "human" ? "the other person has it" : "the person has it";
+  if (holder === me) return say("in_your_hand");
+  if (agents[holder]!.kind === "robot") return say("robot_has");
+  return say(agents[me]?.kind === "human" ? "other_has" : "person_has");
 }

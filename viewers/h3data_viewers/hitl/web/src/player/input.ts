@@ -37,7 +37,7 @@ export class Input {
   /** Where the mouse is, in picture coordinates; null: it has left. */
   pointer: { x: number; y: number } | null = null;
   /** How the player acts now, for the hints: they name keys, buttons or taps. */
-  device: "keys" | "touch" | "pad" = "keys";
+  device: "keys" | "mouse" | "touch" | "pad";
   /** When the player began to steer by keys, ms; 0: it has been shown since. */
   pressedAt = 0;
   private readonly held = new Set<string>();
@@ -52,6 +52,7 @@ export class Input {
     private readonly listener: Listener,
     signal: AbortSignal,
   ) {
+    this.device = matchMedia("(pointer: coarse)").matches ? "touch" : "keys";
     const until = { signal };
     addEventListener("keydown", (event) => this.keyDown(event), until);
     addEventListener("keyup", (event) => this.held.delete(event.code), until);
@@ -124,8 +125,8 @@ export class Input {
     if (event.ctrlKey || event.metaKey || event.altKey || target.closest("input, textarea, select, dialog")) return;
     // Space and Enter press a button that has the focus
     if (event.code === "Space" && target.closest("button")) return;
-    this.device = "keys";
     const wish = WISHES[event.code];
+    if (wish || WALK[event.code]) this.device = "keys"; // Tab is for buttons, which a touch screen has, too
     if (WALK[event.code]) {
       if (!this.held.size) this.pressedAt = performance.now();
       this.held.add(event.code);
@@ -137,7 +138,7 @@ export class Input {
 
   private pointerDown(event: PointerEvent): void {
     if (this.drag) return;
-    if (event.pointerType === "touch") this.device = "touch";
+    this.device = event.pointerType === "touch" ? "touch" : "mouse";
     this.canvas.setPointerCapture(event.pointerId);
     this.canvas.focus({ preventScroll: true });
     this.drag = { id: event.pointerId, x: event.clientX, y: event.clientY, moved: false };

@@ -86,7 +86,7 @@ export class Marks {
       ring.show(x, y + 0.025, z);
       if (seconds - this.episode.times[contact.step]! < NAMED_S) add(new Vector3(x, y + 1.1, z), contact.text, "!", BAD);
     });
-    this.labels.show(marks, camera, width, height, { x: Infinity, y: Infinity });
+    this.labels.show(marks, camera, width, height, []);
   }
 
   private drawGoals(add: (point: Vector3, text: string, chip: string, tone: string) => void): void {

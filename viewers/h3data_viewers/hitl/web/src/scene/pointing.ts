@@ -22,6 +22,16 @@ export class Pointing {
 
   constructor(private readonly world: World) {}
 
+  /** Who is at a place of the picture, not behind furniture or walls; -1: nobody. */
+  agent(x: number, y: number, camera: PerspectiveCamera): number {
+    this.ray.setFromCamera(this.at.set(x, y), camera);
+    const hit = this.ray.intersectObjects(this.world.home, true).find((found) => visible(found.object));
+    const reach = hit?.distance ?? Infinity;
+    return this.world.bodies.findIndex((nodes) =>
+      this.ray.intersectObjects(nodes, true).some((found) => visible(found.object) && found.distance < reach),
+    );
+  }
+
   /** What is at a place of the picture, -1..1 each. Things are taken before what they stand on, but not through walls. */
   target(x: number, y: number, camera: PerspectiveCamera, held: number): Target {
     this.ray.setFromCamera(this.at.set(x, y), camera);

@@ -99,6 +99,11 @@ export class World {
     this.rigs = manifest.agents.map((agent) => (agent.kind === "robot" ? this.robotRig(agent) : personRig(root, agent)));
   }
 
+  /** What is seen of each agent. */
+  get bodies(): Object3D[][] {
+    return this.rigs.map((rig) => (rig instanceof RobotRig ? rig.nodes.filter((node) => node !== undefined) : rig.meshes));
+  }
+
   /** Bones of people that were found by name, of all that states move. */
   get bonesFound(): number {
     return this.rigs.reduce((sum, rig) => sum + ("bones" in rig ? rig.bones.filter(Boolean).length : 0), 0);

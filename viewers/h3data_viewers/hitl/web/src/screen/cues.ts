@@ -4,12 +4,13 @@ import { Vector3, type PerspectiveCamera } from "three";
 import { NEAR_M, turnText, type Situation } from "../player/actions.ts";
 import type { Base } from "../motion/drive.ts";
 import type { Manifest } from "../link/manifest.ts";
-import { FloorRing, Ghost, Labels, type Mark } from "./markers.ts";
+import { FloorRing, Ghost, Labels, type Box, type Mark } from "./markers.ts";
 import { MiniMap } from "./minimap.ts";
 import { JOINT, MARKER, thingColor } from "./palette.ts";
 import type { Sdf } from "../motion/sdf.ts";
 import type { State } from "../link/wire.ts";
 import type { World } from "../scene/world.ts";
+import { say } from "../words.ts";
 
 /** Labels float this high over what they name. */
 const OVER_M = 0.22;
@@ -25,15 +26,15 @@ export class Cues {
   private marker: Vector3 | null = null;
   private readonly map: MiniMap;
   private readonly heights: number[];
+  private readonly parts = [...document.querySelectorAll("#task, #bar, #map, #hint, #toast, #stick, #thumbs")];
   private frame = 0;
-  private corner = { x: Infinity, y: Infinity };
 
   constructor(
     private readonly world: World,
     private readonly manifest: Manifest,
     sdf: Sdf,
     marks: HTMLElement,
-    private readonly mapCanvas: HTMLCanvasElement,
+    mapCanvas: HTMLCanvasElement,
   ) {
     this.labels = new Labels(marks);
     this.ghost = new Ghost(world.scene);
@@ -46,12 +47,9 @@ export class Cues {
     this.heights = world.things.map((thing) => world.lowest(thing));
   }
 
-  /** Where the map is: the page may have changed its size. */
-  private layout(): void {
-    const box = this.mapCanvas.getBoundingClientRect();
-    // on a touch screen the map is at the top, where labels do not come
-    const low = box.width > 0 && box.bottom > innerHeight * 0.7;
-    this.corner = low ? { x: box.left, y: box.top } : { x: Infinity, y: Infinity };
+  /** Where the page has something of its own: labels keep off it. */
+  private taken(): Box[] {
+    return this.parts.map((part) => part.getBoundingClientRect()).filter((box) => box.width > 0);
   }
 
   /** The point that the player walks to; null: none. */
@@ -85,9 +83,8 @@ export class Cues {
       if (now.done[k]) ring.hide();
       else ring.show(x, y + this.heights[k]! + 0.004, z, now.held === k ? 1 + 0.12 * Math.sin(performance.now() / 180) : 1);
     });
-    this.labels.show(this.marks(state, now, me < 0 ? null : own), camera, innerWidth, innerHeight, this.corner);
+    this.labels.show(this.marks(state, now, me < 0 ? null : own), camera, innerWidth, innerHeight, this.taken());
     if (this.frame++ % MAP_FRAMES) return;
-    this.layout();
     this.drawMap(state, now, me, own, yaw);
   }
 
@@ -96,7 +93,7 @@ export class Cues {
     const goTo = this.marker;
     if (goTo) {
       const far = own && Math.hypot(goTo.x - own.x, goTo.z - own.z);
-      marks.push({ point: goTo.clone().setY(goTo.y + OVER_M), text: "here", thing: MARKER, near: false, far });
+      marks.push({ point: goTo.clone().setY(goTo.y + OVER_M), text: say("here"), thing: MARKER, near: false, far });
     }
     const joint = now.first >= 0 ? now.first : now.jointFar < NEAR_M && now.held < 0 ? now.joint : -1;
     if (own && joint >= 0) {
@@ -122,7 +119,7 @@ export class Cues {
         const at = this.world.things[k]!.position;
         marks.push({
           point: new Vector3(at.x, at.y + OVER_M, at.z),
-          text: `${label}${now.shut[k] ? " (shut in)" : ""} → ${goal.label}`,
+          text: `${now.shut[k] ? say("shut_in", { thing: label }) : label} → ${goal.label}`,
           thing: k,
           near: now.next === k && now.far < NEAR_M,
           far: own && Math.hypot(at.x - own.x, at.z - own.z),

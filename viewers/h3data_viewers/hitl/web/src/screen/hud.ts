@@ -1,5 +1,6 @@
 /** What is said to the player: task, time, reasons, hints, covers. All of it is DOM, so that it can be read aloud and zoomed. */
 
+import { fillIn, say } from "../words.ts";
 import { setText } from "./markers.ts";
 import { thingColor, thingLetter } from "./palette.ts";
 
@@ -13,20 +14,13 @@ export interface TodoItem {
   done: boolean;
 }
 
+/** What the help lists: keys, and the name of the words that say what they do. */
 const KEYS: [string[], string][] = [
-  [["W", "A", "S", "D"], "walk and turn (or the arrow keys)"],
-  [["Shift"], "slowly"],
-  [["E"], "take what is near, put down what you hold"],
-  [["F"], "walk to the next thing and take it, or to its place and put it there"],
-  [["O"], "open or close the nearest door or drawer"],
-  [["Q"], "drop what you hold"],
-  [["G"], "give it to the robot"],
-  [["V"], "over the shoulder, or through your own eyes"],
-  [["Esc"], "stop walking there"],
-  [["M"], "map"],
-  [["N"], "sound"],
-  [["H"], "this help"],
+  [["W", "A", "S", "D"], "walk"], [["Shift"], "slow"], [["E"], "act"], [["F"], "goto"], [["O"], "turn"], [["Q"], "drop"],
+  [["G"], "give"], [["V"], "view"], [["Esc"], "stop"], [["M"], "map"], [["N"], "sound"], [["H"], "help"],
 ];
+/** After so long a live region that was emptied is read again, even where it says the same, ms. */
+const REPEAT_MS = 60;
 const TOAST_MS = 4200;
 
 const $ = <T extends HTMLElement = HTMLElement>(id: string): T => document.getElementById(id) as T;
@@ -39,18 +33,32 @@ export class Hud {
   readonly knob = $("knob");
   private readonly help = $<HTMLDialogElement>("help");
   private toastTimer = 0;
+  private saidTimer = 0;
+  private how: Record<string, string> = {};
   private left: { seconds: number; at: number } | null = null;
   private lastTodo = "";
   private hinted = "";
 
   constructor() {
-    for (const [keys, text] of KEYS) {
-      const term = document.createElement("dt");
-      term.append(...keys.map(key));
-      const what = document.createElement("dd");
-      what.textContent = text;
-      $("keys").append(term, what);
-    }
+    fillIn(document);
+    // who has no mouse is told of taps from the beginning
+    this.device(matchMedia("(pointer: coarse)").matches ? "touch" : "keys");
+  }
+
+  /** What there is to do in this home: things to carry, doors and drawers, a robot to give things to. */
+  offers(things: boolean, joints: boolean, robot: boolean): void {
+    document.body.toggleAttribute("data-hands", things || joints);
+    const absent = new Set([...(things ? [] : ["act", "goto", "drop"]), ...(joints ? [] : ["turn"]), ...(things && robot ? [] : ["give"])]);
+    const rows = KEYS.filter(([, name]) => !absent.has(name));
+    $("keys").replaceChildren(
+      ...rows.flatMap(([keys, name]) => {
+        const term = document.createElement("dt");
+        term.append(...keys.map(key));
+        return [term, Object.assign(document.createElement("dd"), { textContent: say(`help_${name}`) })];
+      }),
+    );
+    const told = ["help_pointing", things && "help_things", joints && "help_joints", (things || joints) && "help_touch"];
+    setText($("help-text"), told.filter((name) => name !== false).map((name) => say(name)).join(" "));
   }
 
   on(button: string, press: () => void, signal: AbortSignal): void {
@@ -63,6 +71,7 @@ export class Hud {
 
   phase(phase: Phase, title = "", text = "", button = "", press?: () => void): void {
     document.body.dataset.state = phase;
+    if (phase !== "loading" && phase !== "playing") this.announce(`${title}. ${text}`);
     setText($("cover-title"), title);
     setText($("cover-text"), text);
     const action = $<HTMLButtonElement>("cover-button");
@@ -73,8 +82,10 @@ export class Hud {
     else if (phase === "playing") this.canvas.focus({ preventScroll: true });
   }
 
-  /** What is to be done, more of it in lines, and how long there is for it [s]. */
-  task(text: string, lines: string[], left: number | null): void {
+  /** What is to be done, more of it in lines, how long there is for it [s], and how it is done by what the player acts with, in
+   * place of the page's own hints. */
+  task(text: string, lines: string[], left: number | null, how: Record<string, string> = {}): void {
+    this.how = how;
     setText($("title"), text);
     if ($("lines").textContent !== lines.join(""))
       $("lines").replaceChildren(...lines.map((line) => Object.assign(document.createElement("p"), { textContent: line })));
@@ -99,7 +110,7 @@ export class Hud {
   /** Time that has passed, or that is left where there is a limit. */
   time(seconds: number): void {
     const gone = this.left && document.body.dataset.state === "playing" ? (performance.now() - this.left.at) / 1000 : 0;
-    setText($("timer"), this.left ? `${clock(this.left.seconds - gone)} left` : clock(seconds));
+    setText($("timer"), this.left ? say("left", { time: clock(this.left.seconds - gone) }) : clock(seconds));
   }
 
   link(rttMs: number, statesPerSecond: number): void {
@@ -111,20 +122,30 @@ export class Hud {
   /** A reason or a result, in a sentence. */
   toast(text: string, tone: "good" | "plain" = "plain"): void {
     const toast = $("toast");
-    toast.textContent = "";
     toast.dataset.tone = tone;
     toast.textContent = text;
+    this.announce(text);
     clearTimeout(this.toastTimer);
     this.toastTimer = window.setTimeout(() => (toast.textContent = ""), Math.max(TOAST_MS, text.length * 75));
   }
 
-  /** What could be done now: pairs of a key and what it does. */
-  hint(parts: [string, string][]): void {
-    const now = JSON.stringify(parts);
+  /** Lets screen readers say a text, which need a region that is there all the time. */
+  announce(text: string): void {
+    const said = $("said");
+    said.textContent = "";
+    clearTimeout(this.saidTimer);
+    this.saidTimer = window.setTimeout(() => (said.textContent = text), REPEAT_MS);
+  }
+
+  /** What could be done now: pairs of a key or button and what it does; what the app says of it comes first. */
+  hint(parts: [string, string][], device: string): void {
+    const told = this.how[device];
+    const shown: [string, string][] = told ? [["", told]] : parts;
+    const now = JSON.stringify(shown);
     if (now === this.hinted) return;
     this.hinted = now;
     $("hint").replaceChildren(
-      ...parts.flatMap(([name, text], k) => [...(k ? [" · "] : []), ...(name ? [key(name)] : []), ` ${text}`]),
+      ...shown.flatMap(([name, text], k) => [...(k ? [" · "] : []), ...(name ? [key(name)] : []), ` ${text}`]),
     );
   }
 
@@ -151,9 +172,9 @@ export class Hud {
     const rows = [...document.querySelectorAll("#todo li")].map((row) => [...row.children].map((cell) => cell.textContent));
     const todo = rows.map(([letter, name, state]) => `${letter}  ${name}: ${state}`);
     const cover = this.playing ? [] : [$("cover-title"), $("cover-text")].map((node) => node.textContent!);
-    if (!this.playing && !$("cover-button").hidden) cover.push(`Trigger: ${$("cover-button").textContent}`);
+    if (!this.playing && !$("cover-button").hidden) cover.push(say("vr_trigger", { button: $("cover-button").textContent }));
     if (!this.playing) return cover.filter(Boolean);
-    return [$("title").textContent!, ...todo, $("toast").textContent!].filter(Boolean);
+    return [$("title").textContent!, this.how.headset ?? "", ...todo, $("toast").textContent!].filter(Boolean);
   }
 
   get playing(): boolean {

@@ -29,11 +29,38 @@ export interface Mark {
   tone?: string;
 }
 
-/** Labels stay this far inside the picture: px at the sides, shares of the height at the top and the bottom. */
+/** Labels stay this far inside the picture, px. */
 const EDGE_PX = 12;
-const LABEL_PX = 18;
-const EDGE_TOP = 0.7;
-const EDGE_BOTTOM = -0.7;
+/** Between labels that were moved apart, px. */
+const GAP_PX = 3;
+
+/** A part of the picture, px. */
+export interface Box {
+  left: number;
+  top: number;
+  width: number;
+  height: number;
+}
+
+const overlap = (a: Box, b: Box): boolean =>
+  a.left < b.left + b.width && b.left < a.left + a.width && a.top < b.top + b.height && b.top < a.top + a.height;
+
+/** Where boxes go so that none lies on another or on what is taken: each as near to its place as those before it allow, above or
+ * below. Null: there is no room for it between 0 and `height`. */
+export function spread(wanted: Box[], taken: Box[], height: number): (number | null)[] {
+  const placed: Box[] = [...taken];
+  return wanted.map((box) => {
+    // right above or below something is as near as a free place can be
+    const column = placed.filter((other) => other.left < box.left + box.width && box.left < other.left + other.width);
+    const tops = [box.top, ...column.flatMap((other) => [other.top - box.height - GAP_PX, other.top + other.height + GAP_PX])];
+    const free = tops
+      .filter((top) => top >= 0 && top + box.height <= height && !column.some((other) => overlap({ ...box, top }, other)))
+      .sort((a, b) => Math.abs(a - box.top) - Math.abs(b - box.top))[0];
+    if (free === undefined) return null;
+    placed.push({ ...box, top: free });
+    return free;
+  });
+}
 
 export class Labels {
   private readonly pool: HTMLElement[] = [];
@@ -41,37 +68,41 @@ export class Labels {
 
   constructor(private readonly layer: HTMLElement) {}
 
-  /** `free` is the corner of the picture that labels leave to the map: its left and upper border, px. */
-  show(marks: Mark[], camera: PerspectiveCamera, width: number, height: number, free: { x: number; y: number }): void {
+  /** `taken` are the parts of the picture where something else is. */
+  show(marks: Mark[], camera: PerspectiveCamera, width: number, height: number, taken: Box[]): void {
     while (this.pool.length < marks.length) this.pool.push(this.make());
-    this.pool.forEach((label, k) => {
-      const mark = marks[k];
-      label.hidden = !mark;
-      if (mark) this.place(label, mark, camera, width, height, free);
+    for (const label of this.pool.slice(marks.length)) label.hidden = true;
+    // what is within reach keeps its place, others make room
+    const order = marks.map((_, k) => k).sort((a, b) => +marks[b]!.near - +marks[a]!.near || a - b);
+    const wanted = order.map((k) => this.aim(this.pool[k]!, marks[k]!, camera, width, height));
+    spread(wanted, taken, height).forEach((top, k) => {
+      const label = this.pool[order[k]!]!;
+      const box = wanted[k]!;
+      label.classList.toggle("squeezed", top === null);
+      label.style.transform = `translate(${box.left}px, ${top ?? box.top}px)`;
     });
   }
 
-  private place(
-    label: HTMLElement, mark: Mark, camera: PerspectiveCamera, width: number, height: number, free: { x: number; y: number },
-  ): void {
+  /** Fills a label in; where it wants to be. */
+  private aim(label: HTMLElement, mark: Mark, camera: PerspectiveCamera, width: number, height: number): Box {
+    label.hidden = false;
     const at = this.at.copy(mark.point).project(camera);
     if (at.z > 1) at.set(-at.x * 9, -9, 0); // behind: at the lower border, on its side
     const [chip, name, far, arrow] = label.children as unknown as HTMLElement[];
     setText(chip!, mark.chip ?? thingLetter(mark.thing));
     setText(name!, mark.text);
     setText(far!, mark.far === null ? "" : `${mark.far.toFixed(mark.far < 10 ? 1 : 0)} m`);
-    const half = label.offsetWidth / 2 + EDGE_PX;
-    const left = ((at.x + 1) / 2) * width;
-    const x = Math.min(Math.max(left, half), width - half);
-    const y = Math.min(Math.max(at.y, EDGE_BOTTOM), EDGE_TOP);
-    const outside = at.x < -1 || at.x > 1 || y !== at.y;
+    const x = ((at.x + 1) / 2) * width;
+    const y = ((1 - at.y) / 2) * height;
+    const [halfWide, halfHigh] = [label.offsetWidth / 2, label.offsetHeight / 2];
+    const shownX = Math.min(Math.max(x, halfWide + EDGE_PX), width - halfWide - EDGE_PX);
+    const shownY = Math.min(Math.max(y, halfHigh + EDGE_PX), height - halfHigh - EDGE_PX);
+    const outside = x < 0 || x > width || shownY !== y;
     label.classList.toggle("outside", outside);
     label.classList.toggle("near", mark.near);
     label.style.setProperty("--tone", mark.tone ?? thingColor(mark.thing));
-    const top = ((1 - y) / 2) * height;
-    const down = x + half > free.x ? Math.min(top, free.y - LABEL_PX) : top;
-    label.style.transform = `translate(${x}px, ${down}px) translate(-50%, -50%)`;
-    if (outside) arrow!.style.transform = `rotate(${Math.atan2(((y - at.y) / 2) * height, left - x)}rad)`;
+    if (outside) arrow!.style.transform = `rotate(${Math.atan2(y - shownY, x - shownX)}rad)`;
+    return { left: shownX - halfWide, top: shownY - halfHigh, width: 2 * halfWide, height: 2 * halfHigh };
   }
 
   private make(): HTMLElement {

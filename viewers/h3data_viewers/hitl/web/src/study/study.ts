@@ -4,8 +4,10 @@
 import { post, Refused } from "../link/flow.ts";
 import type { Hud } from "../screen/hud.ts";
 import { play } from "../session.ts";
+import { say, speak } from "../words.ts";
 import { deviceReport } from "./device.ts";
 import { button, make, paragraphs } from "./dom.ts";
+import { logFocus } from "./focus.ts";
 import { questions } from "./form.ts";
 import { word, type Stage, type View } from "./view.ts";
 
@@ -50,7 +52,7 @@ class Study {
     try {
       this.show((await post(path, body)) as unknown as View);
     } catch (error) {
-      this.complain(error instanceof Refused ? error.message : "The server cannot be reached. Try again in a moment.");
+      this.complain(error instanceof Refused ? error.message : say("unreachable"));
       if (!this.view) throw error;
     }
   }
@@ -59,7 +61,7 @@ class Study {
     page.hidden = false;
     document.body.dataset.state = "study";
     page.querySelector(".refused")?.remove();
-    const again = button("Try again", () => location.reload());
+    const again = button(say("try_again"), () => location.reload());
     page.prepend(make("div", { className: "card refused", role: "alert" }, make("p", { textContent: text }), again));
     page.scrollTop = 0;
   }
@@ -68,6 +70,8 @@ class Study {
     this.view = view;
     this.turned?.abort();
     if (view.participant && view.stage.kind !== "device") cleanAddress();
+    if (view.participant && view.stage.kind !== "end") logFocus();
+    speak(view.words);
     document.title = view.title;
     document.documentElement.lang = view.language;
     document.body.dataset.state = "study";
@@ -162,10 +166,13 @@ class Study {
     const asked = questions(stage.items, word(view, "required"));
     const send = async (): Promise<void> => {
       const answers = asked.answers();
-      if (answers) await this.ask("api/study/form", { form: stage.form, block: stage.block, answers });
+      if (answers) await this.ask("api/study/form", { form: stage.form, block: stage.block, trial: stage.trial, answers });
     };
+    const again = stage.again ? [make("p", { className: "warning", textContent: stage.again })] : [];
+    again[0]?.setAttribute("role", "alert");
     return [
       ...(stage.heading ? [title(stage.heading)] : []),
+      ...again,
       ...paragraphs(stage.text),
       asked.node,
       make("p", { className: "actions" }, button(word(view, "send"), send, true)),

@@ -29,7 +29,7 @@ export type Stage =
   | { kind: "device"; again: string }
   | { kind: "tutorial"; attempt: number; of: number; text: string }
   | { kind: "episode"; block: number; blocks: number; trial: number; trials: number; text: string }
-  | { kind: "form"; block: number; form: string; heading: string; text: string; items: Item[] }
+  | { kind: "form"; block: number; trial: number; form: string; again: string; heading: string; text: string; items: Item[] }
   | { kind: "end"; status: string; reason: string; heading: string; text: string; code: string; url: string };
 
 /** A text of the page, with its numbers filled in. */

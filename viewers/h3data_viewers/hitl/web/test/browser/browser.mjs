@@ -4,7 +4,7 @@ import { createRequire } from "node:module";
 import { chromium } from "playwright-core";
 
 const BUSY = 8;
-const START_MS = 60_000;
+const START_MS = 150_000;
 const emulator = createRequire(import.meta.url).resolve("iwer/build/iwer.min.js");
 
 export async function openPage(url, { width = 1280, height = 720, headset = false, touch = false } = {}) {

@@ -205,12 +205,122 @@ async function sizes() {
   return { inside: overflow.every(Boolean), help, ...(await zoomed.close()) };
 }
 
+const SIZES = [[1280, 800, false], [844, 390, true], [390, 844, true], [320, 568, true]];
+
+/** Parts of the page that lie on each other, are cut, or stick out of the window; run in the page. */
+const LAYOUT = `(() => {
+  const parts = [...document.querySelectorAll("#bar button, #timer, #task h1, #todo li > *, #lines p, #map, #hint, #toast, #stick, #thumbs button, .mark:not(.squeezed)")]
+    .map((node) => [node, node.getBoundingClientRect()])
+    .filter(([node, box]) => box.width > 0 && box.height > 0 && getComputedStyle(node).visibility === "visible");
+  const name = (node) => node.id || node.className + " " + node.textContent;
+  const faults = [];
+  parts.forEach(([a, box], k) => {
+    if (box.left < -0.5 || box.top < -0.5 || box.right > innerWidth + 0.5 || box.bottom > innerHeight + 0.5) faults.push(name(a) + " is outside");
+    if (!a.matches("canvas, .mark") && a.scrollWidth > a.clientWidth + 1 && a.clientWidth) faults.push(name(a) + " is cut");
+    for (const [b, other] of parts.slice(k + 1)) {
+      const wide = Math.min(box.right, other.right) - Math.max(box.left, other.left);
+      const high = Math.min(box.bottom, other.bottom) - Math.max(box.top, other.top);
+      if (wide > 0.5 && high > 0.5 && !a.contains(b)) faults.push(name(a) + " lies on " + name(b));
+    }
+  });
+  const task = document.getElementById("task");
+  if (task.scrollHeight > task.clientHeight + 1) faults.push("the task is cut");
+  return faults;
+})()`;
+
+/** Lowest contrast that the ring around what has the focus has with anything behind it: of its two lines the better one counts. */
+const RING = `(() => {
+  const node = document.activeElement;
+  const style = getComputedStyle(node.id === "view" ? document.body : node, node.id === "view" ? "::after" : null);
+  const light = (text) => { const [r, g, b] = text.match(/[\\d.]+/g).map(Number).map((v) => (v /= 255) <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+  const lines = [...(style.outlineStyle !== "none" ? [style.outlineColor] : []), ...(style.boxShadow.match(/rgba?\\([^)]*\\)/g) ?? [])].map(light);
+  const contrast = (a, b) => (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  const behind = Array.from({ length: 101 }, (_, k) => k / 100);
+  return [node.id, lines.length ? Math.min(...behind.map((back) => Math.max(...lines.map((line) => contrast(line, back))))) : 1];
+})()`;
+
+/** Every size of window, with hints, reasons and all buttons that there can be: nothing lies on anything else. */
+async function layout() {
+  const faults = {};
+  const rings = {};
+  const lives = [];
+  let player;
+  for (const [k, [width, height, touch]] of SIZES.entries()) {
+    if (k < 2) player = await openPage(`${url}${url.includes("?") ? "&" : "?"}plain&dpr=0.25`, { width, height, touch });
+    else await player.page.setViewportSize({ width, height });
+    if (k < 2) await player.started();
+    await player.drawn(6);
+    const found = {};
+    const look = async (what) => {
+      await player.drawn(6);
+      const seen = await player.ask(LAYOUT);
+      if (seen.length) found[what] = seen;
+    };
+    const said = () => player.ask("(({ id, role, textContent, offsetParent }) => [role, textContent, getComputedStyle(document.getElementById('said')).display])(document.getElementById('said') ?? document.getElementById('toast'))");
+    await look("playing");
+    await player.shot(picture(`${width}x${height}`));
+    await player.ask("probe.game.refused('There is nowhere to stand from which it could be put there.'); 0");
+    await look("a reason");
+    lives.push(await said());
+    await player.shot(picture(`${width}x${height}_reason`));
+    await player.ask("document.getElementById('button-pause').hidden = false; document.getElementById('button-leave').textContent = 'Stop taking part'; 0");
+    await look("all buttons");
+    await player.ask("document.getElementById('button-pause').hidden = true; 0");
+    await player.ask("document.activeElement.blur(); 0");
+    for (let n = 0; n < 12; n++) {
+      await player.press("Tab", 20);
+      const [id, contrast] = await player.ask(RING);
+      if (id) rings[id] = contrast;
+    }
+    if (Object.keys(found).length) faults[`${width}x${height}`] = found;
+    if (k === 0) await player.close();
+  }
+  return { layout: faults, rings, lives, ...(await player.close()) };
+}
+
+/** An empty hand, a click on the own body, hints for a mouse and for fingers; also where there is nothing to take. */
+async function hands() {
+  const player = await openPage(url);
+  await player.started();
+  const text = (id) => player.ask(`document.getElementById('${id}').textContent`);
+  const toasts = {};
+  for (const key of ["q", "g", "f"]) {
+    await player.ask("document.getElementById('toast').textContent = ''; 0");
+    if (key !== "f" || !(await player.ask("probe.game.manifest.goals.length"))) await player.press(key);
+    await player.nap(300);
+    toasts[key] = await text("toast");
+  }
+  const keys = await text("hint");
+  const help = await text("keys");
+  // the camera is near in narrow places: only a part of the body is seen
+  const body = await player.ask(`(() => { const { game } = probe;
+    for (let y = 0.4; y > -1; y -= 0.1)
+      for (let x = -0.6; x < 0.7; x += 0.1) {
+        const pixel = [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight];
+        if (game.pointing.agent(x, y, game.camera.camera) === game.manifest.me && document.elementFromPoint(...pixel)?.id === "view") return pixel;
+      }
+    throw new Error("the own body is not seen"); })()`);
+  const seq = await player.ask("probe.game.net.seq");
+  await player.page.mouse.click(...body);
+  await player.drawn(3);
+  const sent = (await player.ask("probe.game.net.seq")) - seq;
+  const mouse = await text("hint");
+  await player.page.keyboard.press("Shift");
+  await player.drawn(3);
+  const again = await text("hint");
+  await player.shot(picture("hands"));
+  return { toasts, keys, help, mouse, again, sent, ...(await player.close()) };
+}
+
 /** The tutorial: to the ring, by a turn to the thing, then by one key. */
 async function tutorial() {
   const player = await openPage(url);
   await player.started();
   const task = () => player.ask("document.getElementById('title').innerText");
   const texts = [await task()];
+  const hint = () => player.ask("document.getElementById('hint').textContent");
+  const hints = [await hint()];
   await player.shot(picture("ring"));
   await player.press("f");
   await player.until("document.getElementById('toast').innerText", "a reason why nothing can be taken yet");
@@ -224,6 +334,8 @@ async function tutorial() {
     await player.nap(900); // it has to be looked at for half a second
   }
   texts.push(await task());
+  await player.drawn(3);
+  hints.push(await hint());
   for (let k = 0; k < 6 && !(await player.over); k++) {
     await player.press("f");
     await player.idle();
@@ -231,7 +343,7 @@ async function tutorial() {
   }
   await player.until("!!probe.over", "the end of the tutorial");
   await player.shot(picture("end"));
-  return { texts, refused, over: await player.over, ...(await player.close()) };
+  return { hints, texts, refused, over: await player.over, ...(await player.close()) };
 }
 
 /** Clicks on a world point, an expression, through the person's eyes, once a click there would mean that: an expression over
@@ -398,6 +510,6 @@ async function album() {
   return player.close();
 }
 
-const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, tutorial, drawer, door, stairs, album };
+const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, layout, hands, tutorial, drawer, door, stairs, album };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
