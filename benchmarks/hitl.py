@@ -27,14 +27,18 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import msgspec
 import numpy as np
 from aiohttp import ClientError
 
 from h3data.recording import read_mcap
 from h3data.recording.live_input import slipped_steps
 from h3data_viewers.hitl.bots.client import BUSY, Client
+from h3data_viewers.hitl.bots.participant import DEVICE
 from h3data_viewers.hitl.front import SEATS_PER_ADDRESS
 from h3data_viewers.hitl.messages import PERIOD_S
+from h3data_viewers.hitl.study.design import Design
+from h3data_viewers.hitl.study.files import make_plan
 
 Emit = Callable[[str, float, str], None]
 WEB = Path(importlib.util.find_spec("h3data_viewers.hitl").submodule_search_locations[0]) / "web"  # type: ignore[union-attr, index]
@@ -49,14 +53,16 @@ TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 class Server:
     """``python -m h3data_viewers.hitl.serve`` in a process of its own."""
 
-    def __init__(self, out: Path, sessions: int = 1, workers: int = 1, **plan: Any) -> None:
+    def __init__(
+        self, out: Path, sessions: int = 1, workers: int = 1, options: dict[str, Any] | None = None, **plan: Any
+    ) -> None:
         self.out, self.stopped_s = out, 0.0
         out.mkdir(parents=True)
         command = [sys.executable, "-m", "h3data_viewers.hitl.serve"]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
         whole = {"out": str(out), "episodes": 10 * sessions, **plan}
-        options = {
+        options = options or {
             "plan": whole,
             "tables": sessions,
             "workers": workers,
@@ -181,6 +187,7 @@ def run(emit: Emit) -> None:
         asyncio.run(_crash(emit, running))
     with server(60, WORKERS, **PLANS["rearrange"]) as running:
         asyncio.run(_siege(emit, running))
+    hostile(emit)
     _browser(emit)
 
 
@@ -293,6 +300,73 @@ async def _siege(emit: Emit, running: Server) -> None:
     emit("hitl.siege.seats_refused", sum(n for what, n in answers.items() if what.startswith("seat ")), "")
     running.stop()
     emit("hitl.siege.failed_sessions", sum(r.get("over", {}).get("ended") == "failed" for r in running.reports()), "")
+
+
+def hostile(emit: Emit) -> None:
+    """Four participants of a study beside 40 hostile clients: emits ``hitl.hostile_*``."""
+    said = {
+        "name": "siege", "version": "1", "title": "Siege", "participants": 60, "retention": "2030-01-31", "contact": "nobody",
+        "scenes": ["small:3"], "episodes": 20, "conditions": [{"name": "still", "partner": "still"}],
+        "consent": {"version": "1", "text": "Yes?"}, "tutorial": {"skip": True},
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        plan = make_plan(msgspec.convert(said, Design), Path(folder, "siege-1"))
+        options = {"study": msgspec.to_builtins(plan), "workers": WORKERS, "stays": True}
+        running = Server(Path(folder, "siege-1"), options=options)
+        try:
+            asyncio.run(_besieged_study(emit, running))
+        finally:
+            if running.process.poll() is None:
+                running.stop()
+
+
+async def _besieged_study(emit: Emit, running: Server) -> None:
+    pids = [f"{k:024x}" for k in range(1, 5)]
+    async with AsyncExitStack() as stack:
+        players = []
+        for pid in pids:
+            client = await stack.enter_async_context(Client(running.link))
+            view = await _asked(client, "api/study", {"ids": {"PROLIFIC_PID": pid}})
+            agreed = {"accept": True, "hash": view["stage"]["hash"], "ids": {"PROLIFIC_PID": pid}}
+            await _asked(client, "api/study/consent", agreed)
+            await _asked(client, "api/study/device", DEVICE)
+            while await client.sit() == 503:
+                await asyncio.sleep(1.5)
+            await client.connect()
+            await client.until(lambda client=client: client.step, 60)
+            players.append(client)
+        end = time.monotonic() + SIEGE_S
+        playing = [asyncio.create_task(play(c, k, end)) for k, c in enumerate(players)]
+        command = [sys.executable, "-m", "tests.viewers.hitl.hostile", running.link, "40", str(SIEGE_S), ",".join(pids)]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        crowd = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment)
+        await asyncio.sleep(1.0)
+        for client in players:
+            client.times.clear()
+            client.played_s = 0.0
+        cpu, begun = running.cpu_s(), time.monotonic()
+        await asyncio.sleep(SIEGE_S - 1.0)
+        wall = time.monotonic() - begun
+        worker, front = (100 * (b - a) / wall for a, b in zip(cpu, running.cpu_s(), strict=True))
+        rates = [len(c.times) / max(c.played_s, PERIOD_S) for c in players]
+        await asyncio.gather(*playing)
+        answers = json.loads((await asyncio.to_thread(crowd.communicate))[0])
+        kept = [(await _asked(client, "api/study", {}))["stage"]["kind"] == "episode" for client in players]
+    emit("hitl.hostile_states_per_s", min(rates), "1/s")
+    emit("hitl.hostile_front_cpu_share", front, "%")
+    emit("hitl.hostile_workers_cpu_share", worker, "%")
+    emit("hitl.hostile_players_out", kept.count(False), "")
+    emit("hitl.hostile_clients_in", sum(n for what, n in answers.items() if what.startswith("IN ")), "")
+    emit("hitl.hostile_errors_500", sum(n for what, n in answers.items() if what.endswith(" 500")), "")
+    emit("hitl.hostile_attacks", sum(answers.values()), "")
+    running.stop()
+    overs = [r["over"] for r in running.reports() if "over" in r]
+    emit("hitl.hostile_failed_episodes", sum(over["ended"] == "failed" for over in overs), "")
+
+
+async def _asked(client: Client, path: str, body: dict[str, Any]) -> dict[str, Any]:
+    async with client.http.post(client.link + path, json=body) as answer:
+        return await answer.json()
 
 
 # --- a browser --------------------------------------------------------------------------------------------------------
