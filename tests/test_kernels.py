@@ -354,9 +354,9 @@ def test_shipped_kernels_belong_to_this_code():
 # --- numba --------------------------------------------------------------------------------------------------------------
 def test_numba_still_has_what_kernels_take_from_inside_it():
     """Nothing of this is promised. pyproject.toml bounds numba's version; a new one is allowed once this holds for it."""
-    from numba import _dynfunc
+    from numba import _dynfunc  # type: ignore[attr-defined]
     from numba.core import caching, codegen, compiler, dispatcher, typed_passes
-    from numba.extending import _Intrinsic
+    from numba.core.extending import _Intrinsic
     from numba.misc.appdirs import AppDirs
 
     def arguments(function):
