@@ -114,7 +114,7 @@ def kept_files() -> list[Path]:
             for folder, _, files in os.walk(root):
                 if source := next((file for file in files if file.endswith(".py")), None):
                     apart = _CacheLocator.get_suitable_cache_subpath(os.path.join(folder, source))
-                    wide = (config.CACHE_DIR, AppDirs(appname="numba", appauthor=False).user_cache_dir)
+                    wide = (vars(config)["CACHE_DIR"], AppDirs(appname="numba", appauthor=False).user_cache_dir)
                     places |= {os.path.join(folder, "__pycache__"), *(os.path.join(w, apart) for w in wide if w)}
     found = (path for place in places for path in Path(place).glob("*.nb[ci]*"))
     return sorted(path for path in found if path.suffix in (".nbi", ".nbc", ".lock"))

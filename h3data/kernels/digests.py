@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numba import types
 from numba.core.dispatcher import Dispatcher
-from numba.extending import _Intrinsic  # type: ignore[attr-defined]
+from numba.core.extending import _Intrinsic
 
 OURS = ("h3data", "sim_kinematic")
 """Packages whose sources are part of the digests."""
@@ -149,11 +149,12 @@ def _constant(value: Any) -> str:
 
 
 def _type(kind: types.Type) -> str:
+    whole: Any = kind  # numba's stubs lack these attributes
     if isinstance(kind, types.BaseNamedTuple):
-        made = kind.instance_class
-        return f"{made.__module__}.{made.__qualname__}{made._fields}({', '.join(map(_type, kind.types))})"
+        made = whole.instance_class
+        return f"{made.__module__}.{made.__qualname__}{made._fields}({', '.join(map(_type, whole.types))})"
     if isinstance(kind, types.BaseTuple):
-        return f"({', '.join(map(_type, kind.types))})"
+        return f"({', '.join(map(_type, whole.types))})"
     if isinstance(kind, types.Optional):
         return f"optional({_type(kind.type)})"
     if isinstance(

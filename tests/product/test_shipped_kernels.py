@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -67,7 +66,7 @@ class CleanCopy:
 
 
 @pytest.fixture
-def clean(tmp_path: Path) -> Iterator[CleanCopy]:
+def clean(tmp_path: Path) -> CleanCopy:
     return CleanCopy(tmp_path)
 
 
