@@ -57,11 +57,40 @@ def run(emit: Emit) -> None:
     emit("render.rerender_depth_640x480_fps_per_core", 1 / depth, "1/s")
     emit("render.rerender_640x480_fps_per_core", 1 / drawn, "1/s")
     _run_smooth(emit, replay, track)
+    _run_still(emit, replay)
     with tempfile.TemporaryDirectory() as folder:
+        for samples in (1, 4):
+            files = (
+                _seconds(lambda samples=samples: _files(replay, track, Path(folder), "data", samples=samples)) / count
+            )
+            emit(f"rerender.s{samples}_fps_per_core", 1 / files, "1/s")
         for form in ("mp4", "data", "png"):
             files = _seconds(lambda form=form: _files(replay, track, Path(folder), form)) / count
             emit(f"render.rerender_{form}_640x480_fps_per_core", 1 / files, "1/s")
             emit(f"render.rerender_{form}_640x480_encode_share", 1 - drawn / files, "1")
+
+
+def _run_still(emit: Emit, replay: Replay) -> None:
+    """The lines of a camera that stands still, and of the same pictures if each were drawn anew."""
+    stage, count = replay.stage, len(replay)
+    camera = camera_track(replay, "top_down").at(0)
+    renderer = stage.renderer()
+
+    def again() -> None:
+        for step in range(count):
+            stage.render(renderer, step, [camera], outputs=("rgb",), samples=4)
+
+    def anew() -> None:
+        one = stage.renderer()
+        for step in range(0, count, 8):  # a hair's breadth apart, so that none is the one before
+            pose = camera.pose.copy()
+            pose[0, 3] += 1e-6 * step
+            moved = replace(camera, pose=pose)
+            stage.render(one, step, [moved], outputs=("rgb",), samples=4)
+
+    still, whole = _seconds(again) / count, _seconds(anew) / len(range(0, count, 8))
+    emit("render.rerender_still_top_down_ms", still * 1e3, "ms")
+    emit("render.rerender_still_speedup", whole / still, "1")
 
 
 def _run_smooth(emit: Emit, replay: Replay, track: CameraTrack) -> None:

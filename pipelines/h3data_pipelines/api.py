@@ -53,6 +53,7 @@ def generate(
     camera: Sequence[str] = (),
     people: PeopleStyle = "skin",
     light: LightMode = "baked",
+    backend: Literal["auto", "cpu", "gpu"] = "cpu",
     workers: int = 1,
     executor: str = "local",
     mcap: bool = False,
@@ -183,6 +184,7 @@ def export(
     light: bool = False,
     camera: Sequence[str] = (),
     people: PeopleStyle = "skin",
+    backend: Literal["auto", "cpu", "gpu"] = "cpu",
     force: bool = False,
 ) -> Path:
     """Writes recordings as files of other programs; options as of ``h3data export``.
@@ -205,6 +207,7 @@ def rerender(
     camera: Sequence[str] = (),
     people: PeopleStyle = "skin",
     light: LightMode = "baked",
+    backend: Literal["auto", "cpu", "gpu"] = "cpu",
     outputs: str = "rgb",
     assets: Sequence[AnyPath] = (),
     steps: str = "",
