@@ -1,4 +1,7 @@
-"""One idea: any recording, any camera. Usage: python examples/draw_a_recording.py out/demo/episode.mcap picture.png"""
+"""One idea: any recording, any camera. Usage: python examples/draw_a_recording.py out/demo/episode.mcap picture.png
+
+The recording can be any .mcap file; this one is made by: h3data demo -o out/demo
+"""
 
 import sys
 

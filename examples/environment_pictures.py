@@ -8,6 +8,8 @@ from PIL import Image
 import h3data
 from h3data.render import depth_to_rgb
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 SIZE = 320, 240
 env = h3data.make(
     "rearrange",

@@ -173,4 +173,9 @@ def export_format(name: str) -> Format:
     if chosen is not None and chosen.write is not None:
         return chosen
     options = export_options()
+    if name.lower() in ("habitat", "scene", "scenes"):
+        raise InputError(
+            f"Cannot export to {name!r}. Hint: `h3data scenes export` writes scenes for Habitat; --to habitat-episodes writes "
+            "the episodes of recordings, --to gfx-replay one recording."
+        )
     raise InputError(f"Cannot export to {name!r}.{suggest(name, options, more='; or module:name')}")

@@ -91,6 +91,7 @@ def evaluate(
     episodes: int | None = None,
     homes: int = 4,
     seed: int = 0,
+    robot: str | None = None,
     human: str | None = None,
     motion: AnyPath | None = None,
     human_walk: WalkOption | None = None,

@@ -85,11 +85,15 @@ def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invoc
         )
     except SystemExit:  # all fields are optional: only the value of an option can be missing
         raise InputError(f"{_valueless(options, words)} {see}") from None
-    if unknown:
+    rest = next((o for o in options if o.count is None and not o.flags), None)
+    apart = unknown if rest is not None and not any(word.startswith("-") for word in unknown) else []
+    if unknown and not apart:
         _refuse_option(unknown, options, see)
     given = configured | {
         o.field: text for o in options if (text := getattr(texts, o.field)) not in (_ABSENT, (), False)
     }
+    if rest is not None and apart:  # metrics A --paired B: words of one list on both sides of an option
+        given[rest.field] = (*given.get(rest.field, ()), *apart)
     if missing := [o.name for o in options if o.required and o.field not in given and o.count is not None]:
         raise InputError(f"Missing from {prog}: {' and '.join(missing)}. {see}")
     values = {o.field: () for o in options if o.required}  # any number of values may be none

@@ -16,12 +16,14 @@ import pytest
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import Group, WalkOption
+from h3data_pipelines.commands import demo
 from h3data_pipelines.commands.converting import Convert
 from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.commands.table import COMMANDS
 from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs
+from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_pipelines.options import in_python_words, in_shell_words, options_of
 from h3data_pipelines.parsing import parse
 from h3data_pipelines.pictures.viewing import View
@@ -335,3 +337,36 @@ def test_a_table_of_options_says_what_was_meant_alone(tmp_path: Path, capsys: py
     (tmp_path / "job.toml").write_text("episods = 3")
     assert main(["generate", "social_nav", "-o", "x", "--config", str(tmp_path / "job.toml")]) == 2
     assert capsys.readouterr().err.endswith("Did you mean 'episodes'?\n")
+
+
+@pytest.mark.parametrize("words", ["metrics A B --paired", "metrics A --paired B", "metrics --paired A B"])
+def test_options_may_stand_between_the_values_of_a_list(words: str) -> None:
+    command: Any = parse(words.split(), COMMANDS, about="").command
+    assert command.recordings == (Path("A"), Path("B"))
+    assert command.paired
+    with pytest.raises(InputError, match="Unknown option '--pair'"):
+        parse(["metrics", "A", "--pair", "B"], COMMANDS, about="")
+
+
+def test_export_to_habitat_says_what_exports_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", "a.mcap", "--to", "habitat", "-o", "b"]) == 2
+    assert "`h3data scenes export` writes scenes for Habitat" in capsys.readouterr().err
+
+
+def test_evaluations_take_another_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    request = EvaluationRequest(
+        task="social_nav", policies="stand_still", scenes="small", episodes=1, robot="lift_arm"
+    )
+    assert [job.base.robot for job in request.jobs()] == ["lift_arm"]
+    assert request.jobs()[0].to_json()["episode"]["robot"] == "lift_arm"
+    assert main(["evaluate", "skill", "--robot", "quad_arm", "-o", "x"]) == 2
+    assert "leave out --robot" in capsys.readouterr().err
+
+
+def test_the_demo_lists_what_it_wrote(tmp_path: Path) -> None:
+    (tmp_path / "dataset").mkdir()
+    summary = {
+        "steps": 9, "seconds_of_life": 0.3, "ended": "limit", "wall_s": 1, "files": {"metrics.json": 812, "dataset": 2_250_000},
+    }  # fmt: skip
+    lines = demo._text(tmp_path, summary, "").splitlines()
+    assert [line.split() for line in lines[1:3]] == [["metrics.json", "0.8", "kB"], ["dataset/", "2.2", "MB"]]

@@ -17,6 +17,8 @@ from h3data_viewers.rerun.rrd_file import ShownRecording, recorded_stream
 from sim_kinematic.motion.spec import SocialNavSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 
+LONG_SCENE = "home_small_20200_area_m2_100.5_bedrooms_2_clutter_1.5"
+
 
 @pytest.fixture(scope="module")
 def recording() -> Any:
@@ -59,12 +61,15 @@ def test_datasets_and_metrics_are_tables(recording: Any, tmp_path: Path) -> None
 
     with DatasetWriter(tmp_path / "ds") as out:
         for k in range(12):
-            episode = replace(recording.episode, uid=f"{k}", episode_id=f"{k}")
+            episode = replace(recording.episode, uid=f"{k}", episode_id=f"{k}", scene=LONG_SCENE)
             out.add(replace(recording, episode=episode))
     html = h3data.open(tmp_path / "ds")._repr_html_()
     assert html.count("<tr>") == 1 + notebook.LISTED
     assert "12 episodes (12 social_nav), 144 steps" in html
     assert "and 2 more" in html
+    assert html.count(f'title="{LONG_SCENE}"') == notebook.LISTED
+    assert f">{LONG_SCENE[:10]}&hellip;{LONG_SCENE[-10:]}<" in html
+    assert f">{LONG_SCENE}<" not in html
     assert "Finding success" in h3data.measure([recording])._repr_html_()
 
 

@@ -31,6 +31,8 @@ STRIP = 5
 STRIP_WIDTH = 200
 """Width of one of them [px]."""
 VIDEO_WIDTH = 480
+NAME_WIDTH = 20
+"""Characters of a scene's name or a seed in a table."""
 LISTED = 10
 """Episodes listed of a dataset."""
 _CELL = "text-align:left;padding:2px 12px 2px 0;vertical-align:top"
@@ -148,7 +150,7 @@ def episodes_html(episodes: Episodes, title: str) -> str:
     tasks = ", ".join(f"{count} {task}" for task, count in counted.most_common())
     optional = [name for name in ("policy", "partner", "ended") if any(of.get(name) for of in facts[:LISTED])]
     names = ["task", "scene", "seed", "length", *optional]
-    rows = [[k, *(of.get(name, "") for name in names)] for k, of in enumerate(facts[:LISTED])]
+    rows = [[k, *(_Name(of.get(name, "")) for name in names)] for k, of in enumerate(facts[:LISTED])]
     more = f'<p style="{_NOTE}">and {len(facts) - LISTED} more</p>' if len(facts) > LISTED else ""
     steps = sum(int(of["length"]) for of in facts)
     return (
@@ -185,8 +187,8 @@ def _strip(recording: Recording) -> str:
         pictures = []
         for row in rows:
             # the search for a smooth path, as of a video, would take 95% of the time
-            alone = recording.agents and third_person_at(replay, row, around_s=0.0)
-            camera = alone or camera_at(replay, name, row)
+            alone = bool(recording.agents)
+            camera = third_person_at(replay, row, around_s=0.0) if alone else camera_at(replay, name, row)
             small = scaled(camera, STRIP_WIDTH / camera.width)
             track = CameraTrack(camera=small, poses=small.pose[None])
             pictures.append(next(iter(replay.frames([track], [row])))[1][0]["rgb"])
@@ -210,9 +212,21 @@ def _metrics(recording: Recording) -> str:
         return f'<p style="{_NOTE}">No metrics: {escape(str(error))}</p>'
 
 
+class _Name(str):
+    """A name or a number of a table that shows its middle only where the pointer is: seeds have up to 19 digits."""
+
+
+def _cell(value: object) -> str:
+    text = str(value)
+    if not isinstance(value, _Name) or len(text) <= NAME_WIDTH:
+        return f'<td style="{_CELL}">{escape(text)}</td>'
+    half = NAME_WIDTH // 2
+    return f'<td style="{_CELL}" title="{escape(text)}">{escape(text[:half])}&hellip;{escape(text[-half:])}</td>'
+
+
 def _table(rows: Sequence[Sequence[object]], head: Sequence[str] = ()) -> str:
     names = "".join(f'<th style="{_CELL}">{escape(name)}</th>' for name in head)
-    lines = ("".join(f'<td style="{_CELL}">{escape(str(cell))}</td>' for cell in row) for row in rows)
+    lines = ("".join(map(_cell, row)) for row in rows)
     body = "".join(f"<tr>{line}</tr>" for line in lines)
     header = f"<thead><tr>{names}</tr></thead>" if head else ""
     return f'<table style="align-self:flex-start">{header}<tbody>{body}</tbody></table>'

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.errors import InputError
+from h3data.files import size_text
 from h3data.progress import is_quiet, progress
 from h3data.recording import Recording
 from h3data.render.light.sources import LightMode
@@ -243,7 +244,10 @@ def _text(out: Path, summary: dict[str, Any], table: str) -> str:
     lines = [
         f"{summary['steps']} steps ({summary['seconds_of_life']} s of life, ended by {summary['ended']}) "
         f"in {summary['wall_s']} s. In {out}:",
-        *(f"  {name:<18} {size / 1e6:8.2f} MB" for name, size in summary["files"].items()),
+        *(
+            f"  {name + '/' * (out / name).is_dir():<18} {size_text(size):>9}"
+            for name, size in summary["files"].items()
+        ),
         "",
         *([table, ""] if table else []),
         f"Look: open {out}/third_person.mp4 in a browser, or: rerun {out}/episode.rrd",

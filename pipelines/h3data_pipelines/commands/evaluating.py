@@ -69,6 +69,8 @@ class Evaluate:
     """Number of different homes of a preset that the episodes go round."""
     seed: int = 0
     """Everything random follows from it."""
+    robot: str | None = None
+    """Body of the robot, as of h3data generate (default: that of the episode, else quad_arm)."""
     human: str | None = None
     """Body of the person: a built-in one, with an outfit as in female_0:dress; any: each episode samples one of the twelve
     adults; random: each makes one (default: female_0)."""
@@ -101,6 +103,8 @@ class Evaluate:
 
     def run(self) -> Outcome:
         is_skill = self.task == "skill"
+        if is_skill and self.robot is not None:
+            raise InputError("Learned skills are for the robot that they were trained with: leave out --robot.")
         if is_skill and (self.keep or self.zsc or self.policies != ALL or self.partners != ALL):
             raise InputError("Skills are judged with the robot alone: no --policies, --partners, --zsc or --keep.")
         if is_skill and self.light is not None:
@@ -117,6 +121,7 @@ class Evaluate:
             episodes=self.episodes,
             homes=self.homes,
             seed=self.seed,
+            robot=self.robot,
             human=self.human,
             motion=None if self.motion is None else str(self.motion),
             human_walk=self.human_walk,

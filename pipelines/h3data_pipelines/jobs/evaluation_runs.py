@@ -55,6 +55,7 @@ class EvaluationRequest:
     episodes: int | None = None
     homes: int = 4
     seed: int = 0
+    robot: str | None = None
     human: str | None = None
     motion: str | None = None
     human_walk: str | None = None
@@ -91,7 +92,7 @@ class EvaluationRequest:
                 f"--zsc: expected partners that are evaluated ({', '.join(partners) or 'none'}), got {', '.join(strangers)}."
             )
         choices = Choices(
-            task=self.task, policy=policies[0], partner=partners[0] if partners else None, human=self.human,
+            task=self.task, policy=policies[0], partner=partners[0] if partners else None, robot=self.robot, human=self.human,
             motion=self.motion, human_walk=self.human_walk, human_speed=self.human_speed, max_steps=self.max_steps,
         )  # fmt: skip
         choices = with_skills(choices, self.skills)
