@@ -6,9 +6,9 @@ import glob
 import importlib
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, overload
 
 from numpy.typing import NDArray
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from h3data.habitat.scenes.scene_dataset import SceneDataset
     from h3data.metrics import EpisodeMetrics, MetricsTable
     from h3data.scene import Scene
-
+    from sim_kinematic.tasks.runner import Session
 
 T = TypeVar("T")
 _GLOB = re.compile(r"[*?\[]")
@@ -157,6 +157,32 @@ def render_frame(
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]
 
 
+class MakeOptions(TypedDict, total=False):
+    """Options of `make` beyond task, scenes, number of worlds, device and agents."""
+
+    render_mode: str | None
+    observations: Sequence[str] | None
+    reward: str | None
+    partner: Any
+    level: Literal["high", "low"] | None
+    spec: Any
+    roster: str | Sequence[str] | None
+    robot: str | None
+    human: str | None
+    depth_size: tuple[int, int] | None
+    rgb_size: tuple[int, int] | None
+    light: LightMode | None
+    noise: Mapping[str, Any] | None
+    end_on_success: bool | None
+    interrupts_when_close: bool | None
+    threads: int | None
+    dtype: Any
+    episodes: Any
+    episodes_seed: int | None
+    graph: bool | None
+    compile: bool | None
+
+
 @overload
 def make(
     task: Any,
@@ -165,37 +191,174 @@ def make(
     num_envs: None = None,
     device: None = None,
     agents: tuple[str] = ...,
-    **options: Any,
+    **options: Unpack[MakeOptions],
 ) -> gymnasium.Env[Any, Any]: ...
 @overload
 def make(
-    task: Any, scenes: Any = ..., *, num_envs: int, device: None = None, **options: Any
+    task: Any,
+    scenes: Any = ...,
+    *,
+    num_envs: int,
+    device: None = None,
+    agents: tuple[str] = ...,
+    **options: Unpack[MakeOptions],
 ) -> gymnasium.vector.VectorEnv[Any, Any, Any]: ...
 @overload
-def make(task: Any, scenes: Any = ..., **options: Any) -> Any: ...
-def make(task: Any, *args: Any, **options: Any) -> Any:
+def make(
+    task: Any,
+    scenes: Any = ...,
+    *,
+    num_envs: int | None = None,
+    device: Any = None,
+    agents: Sequence[str] = ...,
+    **options: Unpack[MakeOptions],
+) -> Any: ...
+def make(
+    task: Any,
+    scenes: Any = "h3-homes/train",
+    *,
+    num_envs: int | None = None,
+    device: Any = None,
+    agents: Sequence[str] | None = None,
+    render_mode: str | None = None,
+    observations: Sequence[str] | None = None,
+    reward: str | None = None,
+    partner: Any = None,
+    level: Literal["high", "low"] | None = None,
+    spec: Any = None,
+    roster: str | Sequence[str] | None = None,
+    robot: str | None = None,
+    human: str | None = None,
+    depth_size: tuple[int, int] | None = None,
+    rgb_size: tuple[int, int] | None = None,
+    light: LightMode | None = None,
+    noise: Mapping[str, Any] | None = None,
+    end_on_success: bool | None = None,
+    interrupts_when_close: bool | None = None,
+    threads: int | None = None,
+    dtype: Any = None,
+    episodes: Any = None,
+    episodes_seed: int | None = None,
+    graph: bool | None = None,
+    compile: bool | None = None,
+    **task_options: Any,
+) -> Any:
     """Makes a training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)``.
 
     One world is a Gymnasium environment, ``num_envs`` worlds a vector environment, several ``agents`` a PettingZoo
-    environment, a ``device`` worlds as torch tensors (h3data docs environments). Arguments are those of
-    `sim_kinematic.envs.make.make`; tasks of installed packages are found by entry points of the group ``h3data.tasks``
-    and by ``module:Class``.
+    environment, a ``device`` worlds as torch tensors (h3data docs environments). None stands for the default of the task or
+    the device. An option that the task or the device does not have is refused.
+
+    Args:
+        task: Name (``social_nav``, ``rearrange``, or of an installed package), ``module:Class``, or a task.
+        scenes: Homes to play in: names such as ``small:3`` and ``h3-homes/train``, paths, scenes, or several of these.
+        num_envs: Number of worlds; None is one world without a leading axis.
+        device: Torch device of the worlds, such as ``cuda`` or ``cpu``; None simulates with NumPy.
+        agents: Names of the agents that act (default: the robot).
+        render_mode: ``rgb_array`` for ``render()``.
+        observations: Names of sensors and images; each agent gets those that it has.
+        reward: Reward of social navigation: ``paper`` or ``habitat``.
+        partner: Policy of the agents that do not act.
+        level: Actions of rearrangement: ``high`` chooses skills, ``low`` base velocity, arm joints and grip.
+        spec: Rules of the task.
+        roster: Agents that are present.
+        robot: Body of robots.
+        human: Body of people.
+        depth_size: Width and height of depth, masks and boxes [pixels] (default: each camera's own).
+        rgb_size: Width and height of colour images [pixels].
+        light: Light in colour images: ``baked`` or ``flat``.
+        noise: Noise model by name of an observation (default: all are exact).
+        end_on_success: Whether success terminates an episode even where the task goes on.
+        interrupts_when_close: Whether agents of rearrangement may choose anew at every step while the other is close.
+        threads: Threads that render images.
+        dtype: Floating type of the state on a device (default: float64 on the CPU, float32 on others).
+        episodes: Number of episodes that worlds on a device draw from, or a bank of them.
+        episodes_seed: Seed of those episodes.
+        graph: Whether a CUDA device replays each step as one graph.
+        compile: Whether worlds on a device are compiled by torch.
+        **task_options: Options of a task of your own. Type checkers accept them as ``**{"name": value}``.
 
     Raises:
         InputError: no such task, scenes or option.
         MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
-    return _simulator("envs.make").make(task, *args, **options)
+    options: dict[str, Any] = {
+        "num_envs": num_envs, "device": device, "agents": agents, "render_mode": render_mode,
+        "observations": observations, "reward": reward, "partner": partner, "level": level, "spec": spec,
+        "roster": roster, "robot": robot, "human": human, "depth_size": depth_size, "rgb_size": rgb_size,
+        "light": light, "noise": noise, "end_on_success": end_on_success,
+        "interrupts_when_close": interrupts_when_close, "threads": threads, "dtype": dtype, "episodes": episodes,
+        "episodes_seed": episodes_seed, "graph": graph, "compile": compile,
+    }  # fmt: skip
+    given = {name: value for name, value in options.items() if value is not None}
+    return _simulator("envs.make").make(task, scenes, **given, **task_options)
 
 
-def session(task: Any, *args: Any, **options: Any) -> Any:
-    """An episode to be played one step at a time: `sim_kinematic.tasks.sessions.session`."""
-    return _simulator("tasks.sessions").session(task, *args, **options)
+def session(
+    task: Any,
+    scenes: Any = "small:0",
+    *,
+    agents: Mapping[str, Any] | None = None,
+    roster: str | Sequence[str] | None = None,
+    seed: int = 0,
+    index: int = 0,
+    spec: Any = None,
+    record: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    share_in: str | os.PathLike[str] | None = None,
+    robot: str = "quad_arm",
+    human: str = "female_0",
+    **rules: Any,
+) -> Session:
+    """Begins an episode that is played one step at a time, with agents driven from outside (docs/sessions.md).
+
+    Args:
+        task: Name, ``module:Class``, or a task.
+        scenes: Homes, as in `make`; ``seed`` and ``index`` choose one of them.
+        agents: Policy of each agent, by agent or kind: a name, a policy, a function, or
+            `sim_kinematic.policies.policy.External` for one that `Session.act` controls.
+        roster: Agents that are present (default: the task's).
+        seed: Seed of the run.
+        index: Number of the episode in the run.
+        spec: Rules of the task (default: the task's).
+        record: MCAP file that grows while the episode runs; None keeps the recording in memory.
+        overwrite: Whether an existing file is replaced.
+        share_in: Folder around ``record`` whose recordings share their scenes; None stores the scene in the recording.
+        robot: Body of robots.
+        human: Body of people.
+        **rules: Fields of the rules to change, such as ``max_steps=900`` or ``human_speed=1.2``.
+
+    Raises:
+        InputError: there is no such task, scene, agent, policy or rule.
+        SceneError: no scene has room for the episode.
+    """
+    return _simulator("tasks.sessions").session(
+        task, scenes, agents=agents, roster=roster, seed=seed, index=index, spec=spec, record=record,
+        overwrite=overwrite, share_in=share_in, robot=robot, human=human, **rules,
+    )  # fmt: skip
 
 
-def simulate(task: Any, *args: Any, **options: Any) -> Recording:
-    """One episode played under policies: `sim_kinematic.tasks.sessions.simulate`."""
-    return _simulator("tasks.sessions").simulate(task, *args, **options)
+def simulate(
+    task: Any,
+    scenes: Any = "small:0",
+    *,
+    agents: Mapping[str, Any] | None = None,
+    roster: str | Sequence[str] | None = None,
+    seed: int = 0,
+    index: int = 0,
+    spec: Any = None,
+    record: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    share_in: str | os.PathLike[str] | None = None,
+    robot: str = "quad_arm",
+    human: str = "female_0",
+    **rules: Any,
+) -> Recording:
+    """Plays one episode under policies and returns its recording. Arguments and errors are those of `session`."""
+    return _simulator("tasks.sessions").simulate(
+        task, scenes, agents=agents, roster=roster, seed=seed, index=index, spec=spec, record=record,
+        overwrite=overwrite, share_in=share_in, robot=robot, human=human, **rules,
+    )  # fmt: skip
 
 
 def _simulator(module: str) -> Any:

@@ -78,18 +78,19 @@ def draw_depth_scale(image: NDArray[np.uint8], near: float, far: float) -> None:
     height, width = image.shape[:2]
     if width < 96 or height < 64:
         return
-    long, thick, margin = max(width // 4, 64), max(height // 48, 4), max(height // 40, 4)
+    # On a dark plate, in letters of at least 10 pixels: smaller ones, or white ones on the picture, do not survive H.264.
+    scale = max(height / 900, 0.45)
+    texts = [f"{value:.3g} m" for value in (near, far)]
+    sizes = [cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0] for text in texts]
+    tall = sizes[0][1]
+    long, thick, margin = max(width // 4, sizes[0][0] + sizes[1][0] + 12), max(height // 40, 7), max(height // 40, 4)
+    top, left = height - margin - thick, margin
+    image[top - tall - 10 : top + thick + 3, left - 3 : left + long + 3] = 20
     bar = depth_to_rgb(np.broadcast_to(np.linspace(max(near, 1e-3), far, long), (thick, long)), near, far)
-    top = height - margin - thick
-    image[top - 1 : top + thick + 1, margin - 1 : margin + long + 1] = 20
-    image[top : top + thick, margin : margin + long] = bar
-    scale = max(height / 1000, 0.32)
-    for value, right in ((near, False), (far, True)):
-        text = f"{value:.3g} m"
-        (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
-        place = (margin + right * (long - wide), top - 4)
-        for rim, paint in ((2, (20, 20, 20)), (1, (255, 255, 255))):
-            cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)
+    image[top : top + thick, left : left + long] = bar
+    for text, at in zip(texts, (left, left + long - sizes[1][0]), strict=True):
+        place = (at, top - 5)
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), 1, cv2.LINE_AA)
 
 
 def _clip_to_front(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -196,6 +196,10 @@ class Session:
         self._turns: Turns | None = None
         self._closed: Recording | None = None
 
+    def __repr__(self) -> str:
+        state = f"ended ({self.ended})" if self.play.over else "running"
+        return f"Session({self.task.name}, {', '.join(self._numbers)}, {len(self.recorder)} steps, {state})"
+
     # --- who and what -------------------------------------------------------------------------------------------------
     def number(self, agent: str) -> int:
         """Number of the agent with this name; ``person`` is ``human``.

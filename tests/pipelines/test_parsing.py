@@ -354,9 +354,7 @@ def test_export_to_habitat_says_what_exports_there(capsys: pytest.CaptureFixture
 
 
 def test_evaluations_take_another_robot(capsys: pytest.CaptureFixture[str]) -> None:
-    request = EvaluationRequest(
-        task="social_nav", policies="stand_still", scenes="small", episodes=1, robot="lift_arm"
-    )
+    request = EvaluationRequest(task="social_nav", policies="stand_still", scenes="small", episodes=1, robot="lift_arm")
     assert [job.base.robot for job in request.jobs()] == ["lift_arm"]
     assert request.jobs()[0].to_json()["episode"]["robot"] == "lift_arm"
     assert main(["evaluate", "skill", "--robot", "quad_arm", "-o", "x"]) == 2

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import copy
 import inspect
+import json
 import pickle
 import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,7 @@ from h3data_pipelines.options import options_of
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View
+from tests.paths import ROOT
 
 COMMANDS: list[tuple[Callable[..., Any], type[Command]]] = [
     (api.generate, Generate),
@@ -219,3 +222,56 @@ def test_wrong_options_of_make_say_what_was_meant() -> None:
 
 def _leaves(value: Any) -> list[Any]:
     return [leaf for each in value.values() for leaf in _leaves(each)] if isinstance(value, dict) else [value]
+
+
+# --- faces of the simulator -------------------------------------------------------------------------------------------
+def test_make_names_every_option_of_every_environment() -> None:
+    """`h3data.make` repeats the options of the environments, so that editors, type checkers and the reference know them."""
+    from h3data.api import MakeOptions
+    from sim_kinematic.envs import make as maker
+    from sim_kinematic.envs.rearrange_torch_env import RearrangeTorchEnv
+    from sim_kinematic.envs.skill_stepper import SkillStepper
+    from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
+    from sim_kinematic.envs.stepper import Options
+    from sim_kinematic.envs.world_stepper import WorldStepper
+    from sim_kinematic.tasks.registry import find_task
+
+    def keywords(function: Any) -> set[str]:
+        return {p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
+
+    real = keywords(maker.make) | {field.name for field in fields(Options)}
+    for environment in (WorldStepper, SkillStepper, SocialNavTorchEnv, RearrangeTorchEnv):
+        real |= keywords(environment)
+    for task in ("social_nav", "rearrange"):
+        real |= set(find_task(task).env_options)
+    assert keywords(h3data.make) == real - {"worlds", "options"}
+    assert {*MakeOptions.__annotations__, "num_envs", "device", "agents"} == keywords(h3data.make)
+    described = re.findall(r"^ +([a-z_]+): [A-Z`]", (inspect.getdoc(h3data.make) or ""), re.MULTILINE)
+    assert set(described) == {"task", "scenes", *keywords(h3data.make)}
+
+
+def test_sessions_have_the_signature_of_the_simulator() -> None:
+    from sim_kinematic.tasks import sessions
+
+    for name in ("session", "simulate"):
+        face, real = (inspect.signature(getattr(home, name)).parameters for home in (h3data, sessions))
+        assert [(p.name, p.kind, p.default) for p in face.values()] == [
+            (p.name, p.kind, p.default) for p in real.values()
+        ]
+
+
+@pytest.mark.slow
+def test_type_checkers_refuse_unknown_options(tmp_path: Path) -> None:
+    source = tmp_path / "script.py"
+    source.write_text(
+        "import h3data\n"
+        'h3data.make("social_nav", num_env=4)\n'
+        'h3data.make("social_nav", num_envs=4, observations=["egomotion"], threads=2)\n'
+        'h3data.session("rearrange", scenes="small:3").nothing\n'
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "pyright", "--outputjson", "--pythonpath", sys.executable, str(source)],
+        capture_output=True, text=True, cwd=ROOT, timeout=280,
+    )  # fmt: skip
+    found = json.loads(done.stdout)["generalDiagnostics"]
+    assert sorted(fault["range"]["start"]["line"] for fault in found if fault["severity"] == "error") == [1, 3]
