@@ -10,6 +10,8 @@ import runpy
 import shlex
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -20,6 +22,7 @@ from h3data_pipelines.command import Group
 from h3data_pipelines.commands.table import COMMANDS
 from h3data_pipelines.options import options_of
 from h3data_pipelines.parsing import parse
+from h3data_pipelines.pictures.rerender import missing_lines
 from tests.paths import DOCS, ROOT
 
 BLOCK = re.compile(r"^ *```([^\n]*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
@@ -216,3 +219,11 @@ def test_notebooks_are_stored_without_outputs_which_make_docs_computes(notebook:
     for cell in cells:
         assert not cell.get("outputs"), "clear the outputs of all cells before you commit"
         assert cell.get("execution_count") is None
+
+
+def test_the_list_of_missing_assets_names_the_page_that_says_how_to_get_them() -> None:
+    replay: Any = SimpleNamespace(missing={"data/objects/ycb/mug.glb": 2})
+    text = "\n".join(missing_lines(replay))
+    (page,) = re.findall(r"docs/[\w-]+\.md", text)
+    assert "## Getting the assets" in (ROOT / page).read_text(encoding="utf-8")
+    assert "mug.glb  x2" in text
