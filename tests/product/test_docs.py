@@ -10,6 +10,8 @@ import runpy
 import shlex
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -21,6 +23,7 @@ from h3data_pipelines.command import Group
 from h3data_pipelines.commands.table import COMMANDS
 from h3data_pipelines.options import options_of
 from h3data_pipelines.parsing import parse
+from h3data_pipelines.pictures.rerender import missing_lines
 from tests.paths import DOCS, ROOT
 
 BLOCK = re.compile(r"^ *```([^\n]*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
@@ -249,3 +252,11 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
             wrong += [f"{file}: {name}" for name in named if not (DOCS / f"{name}.md").is_file()]
             wrong += [f"{file}: {name}" for name in re.findall(r"(?<![\w/`.])docs/[\w/-]+\.md", code)]
     assert not wrong
+
+
+def test_the_list_of_missing_assets_names_the_page_that_says_how_to_get_them() -> None:
+    replay: Any = SimpleNamespace(missing={"data/objects/ycb/mug.glb": 2})
+    text = "\n".join(missing_lines(replay))
+    (page,) = re.findall(r"h3data docs ([\w-]+)", text)
+    assert "## Getting the assets" in (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    assert "mug.glb  x2" in text

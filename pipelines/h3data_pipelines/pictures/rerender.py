@@ -357,7 +357,10 @@ def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
     if not replay.missing:
         return []
     names = sorted(replay.missing)
-    lines = [f"{len(names)} assets not found, shown as marked placeholders (Hint: --assets DIR or H3DATA_ASSETS):"]
+    lines = [
+        f"{len(names)} assets not found, shown as striped placeholders (Hint: --assets DIR or H3DATA_ASSETS; "
+        "docs/import.md says how to get Habitat's):"
+    ]
     for name in names[:max_names]:
         count = replay.missing[name]
         lines.append(f"  {name}" + (f"  x{count}" if count > 1 else ""))
