@@ -98,7 +98,8 @@ def test_answers_are_exported_where_every_episode_came_late(study: Path, tmp_pat
     path = changed(study, tmp_path / "late", late)
     outcome = StudyReport(path, pictures=0).run()
     out = tmp_path / "late" / "tiny-1" / "report"
-    assert sorted(file.name for file in out.iterdir()) == ["answers.csv", "study.json", "trials.csv"]
+    tables = ["answers.csv", "checks.csv", "focus.csv", "participants.csv", "study.json", "trials.csv"]
+    assert sorted(file.name for file in out.iterdir()) == tables
     assert "4 episodes left out: more than 1% of the steps came late." in outcome.data["notes"]
     assert [m["form"] for m in outcome.data["forms"]] == ["nasa_tlx", "nasa_tlx"]
     assert len(list(csv.reader((out / "answers.csv").read_text().splitlines()))) == 1 + 2 * (2 * 6 + 1)
