@@ -6,6 +6,7 @@ import dataclasses
 import math
 import uuid
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -322,7 +323,7 @@ def test_the_kernel_counts_as_numpy_does_to_the_last_bit(seed: int, monkeypatch:
     poses[rng.integers(0, 2, 80), rng.integers(0, rows, 80)] = np.nan
     reach = np.where(rng.random(rows) < 0.05, np.nan, rng.uniform(0, 3, rows)).astype(np.float32)
     time_ns = np.cumsum(rng.integers(0, 9, rows) * 10_000_000)  # some steps take no time
-    arguments = (*poses, reach, time_ns)
+    arguments: Any = (*poses, reach, time_ns)
     starts = np.array([0, 1, 700, 2_500])
     monkeypatch.setattr(encounter, "sys", SimpleNamespace(modules={}))
     monkeypatch.setattr(encounter, "_measured_rows", 0)
