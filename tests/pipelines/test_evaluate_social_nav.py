@@ -86,7 +86,7 @@ def test_all_may_stand_beside_other_names() -> None:
     assert chosen_names("--policies", "all", there) == there
     assert chosen_names("--policies", "still, all", there) == ("still", "complement")
     assert chosen_names("--policies", "all,my_package:MyPolicy", there) == (*there, "my_package:MyPolicy")
-    with pytest.raises(InputError, match="got magic"):
+    with pytest.raises(InputError, match="unknown magic"):
         chosen_names("--policies", "all,magic", there)
 
 
