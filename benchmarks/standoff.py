@@ -2,29 +2,36 @@
 
 A stand-off is `STEPS` consecutive steps within `WITHIN_M` of each other in which an agent has something to do, neither
 completes a skill, and neither shortens the path to where it is going (on the floor) by more than `GETS_ON_M`. The homes are
-``small:0`` to ``small:9``, in turn. In three episodes of four a robot plays ``complement`` beside a person who plans to
-bring ``both`` objects. In the fourth, somebody drives the robot into the doorways of the home and stops for `PARKED_STEPS`
+``small:0`` to ``small:9``, in turn. In half of the episodes a robot plays ``complement`` beside a person who plans to
+bring ``both`` objects. In the others, somebody drives the robot into the doorways of the home and stops for `PARKED_STEPS`
 in each.
 
-    python -m benchmarks.standoff 300     # so many episodes; `make bench` takes 40
+    python -m benchmarks.standoff 300 --first 5000 -o out/standoff.jsonl    # `make bench` takes 40, from seed 0
+
+A second call with the same file plays only the seeds that are not in it; remove it after a change of the rules.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
+import argparse
+import json
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import wrap_angle
+from h3data.geometry import heading_from_quat, wrap_angle
 from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, Action
+from sim_kinematic.avoidance.routes import FloorRoutes
+from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange, solo_steps_of
@@ -38,29 +45,61 @@ STOPS_M = 1.5
 """Whoever drives the robot stops when the person is nearer than this."""
 NAVIGATES = {ALL_SKILLS.index("nav_to_object"): False, ALL_SKILLS.index("nav_to_goal"): True}
 """Whether a skill goes to where its object belongs."""
+REACH_M, LOOKS_STEPS = 1.0, 10
 WAIT = ALL_SKILLS.index("wait")
 
 
 def run(emit: Emit, episodes: int = EPISODES) -> None:
-    """Emits ``standoff.rearrange.*``, of all episodes and of those in which the robot was driven."""
-    counts: dict[bool, list[int]] = {False: [], True: []}
-    ratios: dict[bool, list[float]] = {False: [], True: []}
-    for seed in range(episodes):
-        driven = seed % 4 == 3
-        recording, alone = play(seed, driven=driven)
-        found = stand_offs(recording, _home(seed % HOMES)[1])
-        counts[driven].append(len(found))
-        ratios[driven].append(len(recording) / alone)
-        for first, last in found:
-            what = f"{'driven' if driven else 'planned'}.small_{seed % HOMES}.seed_{seed}.from_{first}"
+    """Emits ``standoff.rearrange.*``, of all episodes and of those in which the robot was driven or planned."""
+    report(emit, played(range(episodes)))
+
+
+def played(seeds: Iterable[int], file: Path | None = None) -> Iterator[dict[str, Any]]:
+    """Plays episodes; those that a file has already are taken from there, the others are added to it."""
+    known: dict[int, dict[str, Any]] = {}
+    if file is not None and file.exists():
+        known = {row["seed"]: row for row in map(json.loads, file.read_text().splitlines())}
+    for seed in seeds:
+        if seed not in known:
+            driven = is_driven(seed)
+            recording, alone = play(seed, driven=driven)
+            known[seed] = {
+                "seed": seed, "home": f"small:{seed % HOMES}", "driven": driven, "steps": len(recording), "alone": alone,
+                "ended": recording.episode.info["ended"], "stand_offs": stand_offs(recording, _home(seed % HOMES)[1]),
+                "shut": shut_steps(recording, _home(seed % HOMES)[1]) if driven else 0,
+            }  # fmt: skip
+            if file is not None:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                with file.open("a") as lines:
+                    lines.write(json.dumps(known[seed]) + "\n")
+        yield known[seed]
+
+
+def report(emit: Emit, episodes: Iterable[dict[str, Any]]) -> None:
+    """Emits every stand-off, then counts and ratios of some episodes."""
+    rows = []
+    for row in episodes:
+        rows.append(row)
+        for first, last in row["stand_offs"]:
+            what = f"{'driven' if row['driven'] else 'planned'}.{row['home']}.seed_{row['seed']}.from_{first}"
             emit(f"standoff.rearrange.episode.{what}", last - first, "steps")
-    everything = {"": (False, True), "planned.": (False,), "driven.": (True,)}
-    for name, kinds in everything.items():
-        if not (some := [ratio for kind in kinds for ratio in ratios[kind]]):
+    for name, kinds in {"": (False, True), "planned.": (False,), "driven.": (True,)}.items():
+        some = [row for row in rows if row["driven"] in kinds]
+        if not some:
             continue
+        ratios = [row["steps"] / row["alone"] for row in some]
         emit(f"standoff.rearrange.{name}episodes", len(some), "episodes")
-        emit(f"standoff.rearrange.{name}count", sum(sum(counts[kind]) for kind in kinds), "stand-offs")
-        emit(f"standoff.rearrange.{name}p95_ratio", float(np.percentile(some, 95)), "x alone")
+        emit(f"standoff.rearrange.{name}homes", len({row["home"] for row in some}), "homes")
+        emit(f"standoff.rearrange.{name}count", sum(len(row["stand_offs"]) for row in some), "stand-offs")
+        emit(f"standoff.rearrange.{name}successes", sum(row["ended"] == "success" for row in some), "episodes")
+        emit(f"standoff.rearrange.{name}p95_ratio", float(np.percentile(ratios, 95)), "x alone")
+        ratios = [(row["steps"] - row["shut"]) / row["alone"] for row in some]
+        emit(f"standoff.rearrange.{name}p95_ratio_while_open", float(np.percentile(ratios, 95)), "x alone")
+
+
+def is_driven(seed: int) -> bool:
+    """Whether the robot of an episode is driven: in every second round of the homes."""
+    return seed // HOMES % 2 == 1
 
 
 def play(seed: int, *, driven: bool = False) -> tuple[Recording, int]:
@@ -119,6 +158,27 @@ def _left(recording: Recording, free: FreeSpace, xz: NDArray, skill: NDArray, ta
             if len(at):
                 left[at] = free.geodesic(xz[at], ends[:, [0, 2]].astype(np.float64), max_snap_m=2.0)
     return left
+
+
+def shut_steps(recording: Recording, free: FreeSpace) -> int:
+    """Steps in which no way led the person around the robot, as it stood, to within `REACH_M` of where they were going: no rule
+    of giving way helps against these. Looked at in every `LOOKS_STEPS`-th step."""
+    columns, goals = recording.columns, [goal["position"] for goal in recording.episode.info["goals"]]
+    routes, shut = FloorRoutes.of(free), 0
+    for step in range(0, len(recording), LOOKS_STEPS):
+        skill, k = int(columns["agent_1.skill"][step]), int(columns["agent_1.skill_target"][step])
+        if skill not in NAVIGATES:
+            continue
+        end = np.asarray(goals[k] if NAVIGATES[skill] else columns["object_pose"][step, k, :3])[[0, 2]]
+        robot, person = (columns[f"agent_{n}.base_pose"][step].astype(np.float64) for n in range(2))
+        heading = float(heading_from_quat(robot[3:]))
+        along = np.array([np.cos(heading), -np.sin(heading)])
+        radius = AVOIDANCE.robot.radius_m + AVOIDANCE.person.radius_m
+        discs = np.array([(*(robot[[0, 2]] + offset * along), radius) for offset in AVOIDANCE.robot.offsets_m])
+        distance = routes.flood(person[[0, 2]], discs).distance
+        near = np.hypot(*(routes.centres - end).transpose(2, 0, 1)) <= REACH_M
+        shut += not np.isfinite(distance[near]).any()
+    return min(shut * LOOKS_STEPS, len(recording))
 
 
 @dataclass
@@ -190,5 +250,12 @@ def _home(index: int) -> tuple[Scene, FreeSpace]:
 
 
 if __name__ == "__main__":
-    wanted = int((sys.argv[1:2] or [EPISODES])[0])
-    run(lambda name, value, unit: print(f"{name} {value:.6g} {unit}", flush=True), wanted)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.standoff", description="Counts stand-offs.")
+    parser.add_argument("episodes", type=int, nargs="?", default=EPISODES)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first episode, the others follow")
+    parser.add_argument("-o", "--out", type=Path, help="a file of a line per episode, with which a second call goes on")
+    given = parser.parse_args()
+    report(
+        lambda name, value, unit: print(f"{name} {value:.6g} {unit}", flush=True),
+        played(range(given.first, given.first + given.episodes), given.out),
+    )

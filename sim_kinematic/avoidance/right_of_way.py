@@ -6,7 +6,8 @@ inherits the rank of the asker, so a row of people in a corridor backs out toget
 2022, PIBT). Where there is no such place, the roles are exchanged.
 
 Where two stay near each other and neither gets on (`sim_kinematic.avoidance.stand_offs`), one of them is sent to a refuge, off
-the whole remaining path of the other, until the other has got past. The next time it is the other's turn.
+the whole remaining path of the other, until the other has got past. The next time it is the other's turn. Who is kept from
+going on by somebody driven from outside goes to a refuge until there is a way around them.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Protocol
 
 import numpy as np
@@ -60,7 +61,7 @@ class _Request:
     route: NDArray[np.float64]
     """Points [N, 2] still to go."""
     steps: int = 0
-    stays_steps: int = 0
+    stays_steps: float = 0
     """It leads to a refuge, at which the agent stays for so long at most; 0: it does not."""
     stayed: int = 0
     """Steps since it got there."""
@@ -81,6 +82,7 @@ class RightOfWay:
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
         self._requests: dict[int, _Request] = {}
         self._stalled = dict.fromkeys(self._walkers, 0)
+        self._still = dict.fromkeys(self._walkers, 0)
         self._place = {number: _place(walker) for number, walker in self._walkers.items()}
 
     def walk_on(self, free: FreeSpace) -> None:
@@ -94,7 +96,9 @@ class RightOfWay:
             was_x, was_z, was_heading = self._place[number]
             turned = abs(float(wrap_angle(heading - was_heading)))
             if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
-                self._stalled[number], self._place[number] = 0, place
+                self._stalled[number] = self._still[number] = 0
+                self._place[number] = place
+            self._still[number] += 1
             wants = self._start(walker) is not None or walker.hindered_by
             self._stalled[number] = self._stalled[number] + 1 if wants else 0
             if number in self._requests:
@@ -102,7 +106,7 @@ class RightOfWay:
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
             del self._requests[number]
         if self._stand_offs is not None:
-            for pair in self._stand_offs.update():
+            for pair in self._stand_offs.update(self._is_held_off):
                 self._part(self._stand_offs, pair, carrying)
         if not self._requests and (not self._asks or self._all_are_clear()):
             for walker in self._walkers.values():
@@ -221,9 +225,8 @@ class RightOfWay:
     # --- stand-offs ----------------------------------------------------------------------------------------------------
     def _part(self, stand_offs: StandOffs, pair: tuple[int, int], carrying: Sequence[int]) -> None:
         """Sends one of two agents to a refuge: the idle one, one that holds nothing, a robot; the next time the other."""
-        requests = [self._requests[number] for number in pair if number in self._requests]
-        if any(request.stays_steps and len(request.route) for request in requests):
-            return  # one of them is on its way
+        if any(self._goes_to_refuge(number, sum(pair) - number) for number in pair):
+            return
         encounter, errands = stand_offs.of(*pair), {number: stand_offs.errand(number) for number in pair}
         order = sorted(pair, key=lambda n: (errands[n].busy, n in carrying, not self._walkers[n].is_robot, n))
         for number in order[:: -1 if encounter.rounds % 2 else 1]:
@@ -233,14 +236,30 @@ class RightOfWay:
             route = self._refuge(me, other)
             if route is None:
                 continue
-            stays = AVOIDANCE.refuge_steps
-            if not errands[other.number].obeys:
-                stays = min(AVOIDANCE.retries_steps << min(encounter.rounds, 8), stays)
             self._requests.pop(other.number, None)
+            stays = AVOIDANCE.refuge_steps if errands[other.number].obeys else math.inf
             self._requests[number] = _Request(other.number, route, stays_steps=stays)
             self._stalled[number] = self._stalled[other.number] = encounter.steps = 0
             encounter.rounds += 1
             return
+
+    def _goes_to_refuge(self, number: int, other: int) -> bool:
+        """Whether an agent is on its way to a refuge, which is still far from the other."""
+        request = self._requests.get(number)
+        if request is None or not request.stays_steps or not len(request.route):
+            return False
+        return math.dist(request.route[-1], self._walkers[other].xz) > AVOIDANCE.stand_off_m
+
+    def _is_held_off(self, number: int, other: int) -> bool:
+        """Whether an agent is kept from going on by another, who is driven from outside, and is not out of its way already."""
+        request = self._requests.get(number)
+        if request is not None and request.stays_steps:
+            return False
+        if self._stalled[number] > AVOIDANCE.held_off_steps:
+            return True
+        still, me = self._still[other] - AVOIDANCE.held_up_steps, self._walkers[number]
+        looks = still > 0 and still % AVOIDANCE.looks_steps == 0 and me.yields and len(me.path) > 0
+        return looks and not self._gets_around(me, self._walkers[other], AVOIDANCE.passing_m[-1])
 
     def _refuge(self, me: Walker, other: Walker) -> NDArray[np.float64] | None:
         """Points [N, 2] that lead to the nearest place that is off all of the other's path and far from it; else to the
@@ -264,10 +283,27 @@ class RightOfWay:
 
     def _leaves_refuge(self, walker: Walker, request: _Request) -> bool:
         """Whether an agent goes on from its refuge, or from the path to it."""
+        other = self._walkers[request.by]
+        obeys = self._stand_offs is None or self._stand_offs.errand(other.number).obeys
+        if (
+            not obeys
+            and request.steps % AVOIDANCE.looks_steps == 0
+            and self._gets_around(walker, other, AVOIDANCE.passing_m[0])
+        ):
+            return True
         if len(request.route):
             return self._stalled[walker.number] > 2 * AVOIDANCE.gives_up_steps
         request.stayed += 1
-        return request.stayed > request.stays_steps or self._is_past(walker, self._walkers[request.by])
+        return request.stayed > request.stays_steps or (obeys and self._is_past(walker, other))
+
+    def _gets_around(self, walker: Walker, other: Walker, gap_m: float) -> bool:
+        """Whether an agent gets around another, as that one stands, to where it is going, or would not get there alone."""
+        if not len(walker.path):
+            return False
+        discs = discs_of(other) + np.array([0.0, 0.0, walker.footprint.radius_m + gap_m])
+        floods = (self._routes.flood(walker.xz, around) for around in (discs, discs[:0]))
+        around, alone = (flood.path_to(walker.path[-1]) is not None for flood in floods)
+        return around or not alone
 
     def _is_past(self, walker: Walker, other: Walker) -> bool:
         """Whether the path of one agent leads nowhere near another, nor near the other's path."""
@@ -311,8 +347,15 @@ class RightOfWay:
         firm = [other for other in others if other in first or not other.yields]
         kept = [*paths, *((other, self.path(other)) for other in first if other is not walker)]
         room = spec.room_m[walker.is_robot] + _size_beyond_default(walker)
-        for share, around in ((1.0, others), (spec.aside_share + 0.05, others), (spec.aside_share + 0.05, firm)):
-            discs = [(*other.xz, spec.squeeze_share * aside_distance_m(walker, other)) for other in around]
+        choices = ((1.0, others), (spec.aside_share + 0.05, others), (spec.aside_share + 0.05, firm))
+        for ahead, (share, around) in product(
+            (True, False), choices
+        ):  # to meet who comes only where there is no other place
+            discs = [
+                (*place, spec.squeeze_share * aside_distance_m(walker, other))
+                for other in around
+                for place in (self._places_soon(other) if ahead and other in first else other.xz[None])
+            ]
             flood = self._routes.flood(walker.xz, np.array(discs).reshape(-1, 3))
             least, farthest = spec.step_aside_m
             fits = (flood.distance >= least) & (flood.distance <= farthest) & (self._routes.room >= room)
@@ -329,6 +372,10 @@ class RightOfWay:
             if route is not None:
                 return route[1:]
         return None
+
+    def _places_soon(self, walker: Walker) -> NDArray[np.float64]:
+        """Where an agent is, and will be on the next metres of its path, [N, 2]."""
+        return np.vstack([walker.xz[None], _dots(first_of_path(self.path(walker), AVOIDANCE.asks_moving_m))])
 
 
 def aside_distance_m(a: Body, b: Body) -> float:

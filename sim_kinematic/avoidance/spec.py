@@ -167,16 +167,17 @@ class AvoidanceSpec:
     """An agent gets on that completes something, or has this much less to go than when they met."""
     looks_steps: int = 10
     """So often that is looked at."""
-    stand_off_steps: tuple[int, int] = (90, 45)
+    stand_off_steps: tuple[int, int] = (90, 180)
     """After so many steps in which neither has got on, one of them is sent away; after the second number where one is driven
-    from outside, who may come after the other."""
+    from outside: who turns, or goes a short way, beside them is in nobody's way."""
+    held_off_steps: int = 45
+    """Near somebody who is driven from outside, who wants to go on and has not moved for so long is sent away at once. So is
+    whose way is shut by one who has stood for ``held_up_steps``."""
     refuge_m: float = 3.5
     """At least so far from the other, if there is such a place."""
     refuge_steps: int = 240
-    """It stays there until the other has got past, but no longer than this."""
-    retries_steps: int = 60
-    """So long it stays there the first time where the other is driven from outside; then twice that, and so on up to
-    ``refuge_steps``."""
+    """It stays there until the other has got past, but no longer than this; where the other is driven from outside, until there
+    is a way around it."""
 
     # --- floor routes around standing agents -----------------------------------------------------------------------------
     cell_m: float = 0.1

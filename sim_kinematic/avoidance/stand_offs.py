@@ -52,8 +52,11 @@ class StandOffs:
         """Returns the encounter of two agents."""
         return self._encounters[min(a, b), max(a, b)]
 
-    def update(self) -> list[tuple[int, int]]:
-        """Counts one step; returns the pairs in which neither has got on for long, though one has something to do."""
+    def update(self, held_off: Callable[[int, int], bool]) -> list[tuple[int, int]]:
+        """Counts one step; returns the pairs in which neither has got on for long, though one has something to do.
+
+        ``held_off`` says whether one agent is kept by another, who is driven from outside, from going on.
+        """
         stuck = []
         for pair, encounter in self._encounters.items():
             (x, z), (other_x, other_z) = (self._walkers[number].xz.tolist() for number in pair)
@@ -66,8 +69,10 @@ class StandOffs:
             if self._gets_on(encounter, errands):
                 encounter.steps = encounter.rounds = 0
                 continue
-            driven = not all(errand.obeys for errand in errands.values())
-            if encounter.steps > AVOIDANCE.stand_off_steps[driven] and any(errand.busy for errand in errands.values()):
+            driven = [number for number, errand in errands.items() if not errand.obeys]
+            long = encounter.steps > AVOIDANCE.stand_off_steps[len(driven) > 0]
+            long |= any(held_off(sum(pair) - number, number) for number in driven)
+            if long and any(errand.busy for errand in errands.values()):
                 stuck.append(pair)
         return stuck
 

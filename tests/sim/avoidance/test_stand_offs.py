@@ -89,7 +89,7 @@ def test_who_can_be_told_leaves_the_doorway_to_who_is_driven(rooms: FreeSpace, d
     figures, rules = face_to_face(rooms, asks=False)
     figures[driven].obeys, figures[driven].path = False, NO_PATH
     first, told = far_apart_after(figures, rules, 299)
-    assert AVOIDANCE.stand_off_steps[1] < first < 299, "far from each other before it is a stand-off"
+    assert AVOIDANCE.held_up_steps < first < 299, "far from each other before it is a stand-off"
     assert told == [number != driven for number in (0, 1)]
 
 
@@ -112,6 +112,42 @@ def test_nobody_who_gets_on_is_sent_away(rooms: FreeSpace, how: str) -> None:
         figures[0].left_m -= 0.02 * (how == "shortens its path")
         rules.update()
         assert all(figure.aside is None for figure in figures), step
+
+
+def test_nobody_is_sent_away_by_who_is_driven_beside_their_way(rooms: FreeSpace) -> None:
+    """They turned, went a short way, or reached for something, and were sent off through the home."""
+    figures, rules = face_to_face(rooms, asks=False)
+    figures[1].obeys, figures[1].path, figures[1].xz = False, NO_PATH, np.array([4.4, 0.5])
+    for step in range(150):
+        figures[0].heading = 0.1 * step
+        rules.update()
+        assert figures[0].aside is None, step
+
+
+def test_who_waits_for_who_is_driven_waits_until_the_way_is_open(rooms: FreeSpace) -> None:
+    figures, rules = face_to_face(rooms, asks=False)
+    me, driven = figures
+    driven.obeys, driven.path, driven.xz = False, NO_PATH, np.array([5.25, 2.0])
+    for step in range(3 * AVOIDANCE.refuge_steps):
+        rules.update()
+        me.go()
+        me.path = np.array([me.xz, [9.0, 2.0]])
+        assert me.aside is not None or step <= 2 * AVOIDANCE.held_off_steps
+    assert math.dist(me.xz, driven.xz) > AVOIDANCE.stand_off_m
+    driven.xz = np.array([7.0, 3.5])
+    for _ in range(AVOIDANCE.looks_steps):
+        rules.update()
+    assert me.aside is None
+
+
+def test_nobody_steps_aside_to_where_the_other_is_about_to_walk(rooms: FreeSpace) -> None:
+    """Who stood in a doorway went to meet the one who wanted to get through it: there the nearest place was."""
+    comes, stands = np.array([3.4, 2.0]), np.array([5.0, 2.0])
+    figures = [Figure(0, comes, np.array([comes, [9.0, 2.0]])), Figure(1, stands)]
+    RightOfWay(rooms, figures).update()
+    aside = figures[1].aside
+    assert aside is not None
+    assert aside[-1][0] > 5.5
 
 
 def test_a_planner_comes_back_to_what_others_kept_it_from() -> None:
@@ -173,8 +209,15 @@ def test_robot_and_person_do_not_dance() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [15, 35])
+@pytest.mark.parametrize("seed", [15, 35, 39, 75])
 def test_a_robot_that_is_driven_into_a_doorway_stops_nobody_for_good(seed: int) -> None:
     """They stood before it for 1177 steps, and gave up what they had to do."""
     recording, _ = standoff.play(seed, driven=True)
     assert standoff.stand_offs(recording, standoff._home(seed % standoff.HOMES)[1]) == []
+
+
+@pytest.mark.slow
+def test_nobody_flees_from_a_robot_that_is_driven_elsewhere() -> None:
+    """An episode of 759 steps took 1220."""
+    recording, alone = standoff.play(10, driven=True)
+    assert len(recording) < 1.1 * alone
