@@ -310,7 +310,7 @@ def session(
     human: str = "female_0",
     **rules: Any,
 ) -> Session:
-    """Begins an episode that is played one step at a time, with agents driven from outside (docs/sessions.md).
+    """Begins an episode that is played one step at a time, with agents driven from outside (h3data docs sessions).
 
     Args:
         task: Name, ``module:Class``, or a task.

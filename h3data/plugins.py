@@ -199,7 +199,7 @@ class Registry(Generic[T]):
             if not _FROM_DATA.get():
                 trust(name.partition(":")[0])  # whoever names it runs it: files may name it too from now on
             if os.getcwd() not in sys.path:
-                sys.path.append(os.getcwd())  # only now, after everything that is installed: see docs/sharing.md
+                sys.path.append(os.getcwd())  # only now, after everything that is installed: see h3data docs sharing
             return self._load(Plugin(name, name))
         known = self.names()
         raise InputError(f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}")

@@ -312,7 +312,7 @@ class Stage:
 
 
 def chosen_backend(backend: FrameBackend) -> Literal["cpu", "gpu"]:
-    """Who draws frames: ``gpu`` (docs/gpu.md says how equal its pictures are; views without perspective are the CPU's),
+    """Who draws frames: ``gpu`` (h3data docs gpu says how equal its pictures are; views without perspective are the CPU's),
     ``cpu``, or with ``auto`` the GPU if there is one.
 
     Raises:

@@ -359,7 +359,7 @@ def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
     names = sorted(replay.missing)
     lines = [
         f"{len(names)} assets not found, shown as striped placeholders (Hint: --assets DIR or H3DATA_ASSETS; "
-        "docs/import.md says how to get Habitat's):"
+        "h3data docs import says how to get Habitat's):"
     ]
     for name in names[:max_names]:
         count = replay.missing[name]
