@@ -52,7 +52,7 @@ KERNEL_TESTS := tests/habitat/navmesh/test_pathfinder.py tests/sim/motion/test_h
 	tests/pipelines/test_scenes_command.py::test_a_scene_without_floor_does_not_stop_the_others tests/sim/agents/test_oracle.py \
 	tests/scene/freespace/test_free_space.py tests/viewers/hitl/test_wire.py tests/viewers/hitl/test_apps.py
 
-demo: setup  ## the main job on built-in data, offline
+demo: setup  ## simulate, record, render again, measure: out/demo/
 	$(BIN)/h3data demo -o out/demo --force
 
 kernels: dev  ## compiles kernels whose code has changed into pipelines/h3data_kernels, and builds its wheel

@@ -39,7 +39,8 @@ class Replay(PosedRecording):
         """Yields ``(step, [outputs of each camera])`` in the order of ``steps``.
 
         Only a few frames are rendered ahead, so memory does not grow with the length of the recording. The images do not
-        depend on the number of ``threads``. ``backend`` is ``cpu``, ``gpu`` (h3data docs gpu), or ``auto``: a GPU if there is one.
+        depend on the number of ``threads``. ``backend`` is ``cpu``, ``gpu`` (h3data docs gpu), or ``auto``: a GPU if there
+        is one.
 
         Raises:
             InputError: a step is outside the recording, or there is no GPU for ``gpu``.
