@@ -28,7 +28,7 @@ from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_veloci
 
 PREFIX = "weights:"
 SHIPPED_IN: Mapping[str, Mapping[str, str]] = {
-    "social_nav": {"end_to_end": "policies/end_to_end.npz"},
+    "social_nav": {name: f"policies/{name}.npz" for name in ("end_to_end", "end_to_end_paper")},
     "rearrange": {name: f"policies/{name}.npz" for name in ("learn_single", "plan_pop_3_robot", "learn_pop")},
 }
 """Trained robots that come with the package, by task and name (h3data docs training, h3data docs populations)."""

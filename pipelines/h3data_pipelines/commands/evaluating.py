@@ -48,8 +48,9 @@ class Evaluate:
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: str = ALL
     """Robots, separated by commas. social_nav: rollout_expert, heuristic_expert, sampling_expert, future_oracle,
-    learned_follower, end_to_end, random, stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object,
-    still, and the learned learn_single, plan_pop_3_robot and learn_pop; or all. weights:out/s*/policy.npz, in quotes, stands
+    learned_follower, end_to_end, end_to_end_paper, random, stand_still or weights:FILE; rearrange: complement,
+    greedy_nearest, same_object, still, and the learned learn_single, plan_pop_3_robot and learn_pop; or all.
+    weights:out/s*/policy.npz, in quotes, stands
     for all files that fit: they are one row, the mean over training seeds and its standard deviation."""
     partners: str = ALL
     """rearrange: policies of the person, as --partner of h3data generate, separated by commas: plan_pop_1 to plan_pop_4,

@@ -41,8 +41,8 @@ class ReplayCommand:
     """Keep people on their recorded tracks; robots follow --policy, from --resume-from or from the start."""
     policy: str | None = None
     """Robot policy, as for h3data generate, or weights:FILE (default: the recording's own). social_nav: rollout_expert,
-    heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end, random or stand_still; rearrange:
-    complement, greedy_nearest, same_object, still, learn_single, plan_pop_3_robot or learn_pop."""
+    heuristic_expert, sampling_expert, future_oracle, learned_follower, end_to_end, end_to_end_paper, random or
+    stand_still; rearrange: complement, greedy_nearest, same_object, still, learn_single, plan_pop_3_robot or learn_pop."""
     partner: str | None = None
     """rearrange: policy of the person, as for h3data generate (default: the recording's own)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
