@@ -33,6 +33,7 @@ from sim_kinematic.agents.driven.commands import HandOver, PersonCommand, Pick
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.policies.policy import External
+from sim_kinematic.tasks.rearrange.play import RearrangePlay
 
 FRAMES, WIDTH, ROW_PX = 12, 1440, 184
 HOME, SEED = "small:1", 3
@@ -143,7 +144,9 @@ def handling() -> NDArray[np.uint8]:
 def handed_over() -> Recording:
     """A person takes the first object and gives it to the robot, which keeps still."""
     session = h3data.session("rearrange", HOME, seed=SEED, agents={"person": External(), "robot": "still"})
-    person, robot = session.play.people[0], session.play.actors[0]
+    play = session.play
+    assert isinstance(play, RearrangePlay)
+    person, robot = play.people[0], play.actors[0]
     for choice in (Action("nav_to_object", 0), Pick(0)):
         session.act("person", choice)
         session.step()
