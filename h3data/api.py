@@ -161,6 +161,7 @@ class MakeOptions(TypedDict, total=False):
     """Options of `make` beyond task, scenes, number of worlds, device and agents."""
 
     render_mode: str | None
+    flatten: bool | None
     observations: Sequence[str] | None
     reward: str | None
     partner: Any
@@ -221,6 +222,7 @@ def make(
     device: Any = None,
     agents: Sequence[str] | None = None,
     render_mode: str | None = None,
+    flatten: bool | None = None,
     observations: Sequence[str] | None = None,
     reward: str | None = None,
     partner: Any = None,
@@ -256,6 +258,7 @@ def make(
         device: Torch device of the worlds, such as ``cuda`` or ``cpu``; None simulates with NumPy.
         agents: Names of the agents that act (default: the robot).
         render_mode: ``rgb_array`` for ``render()``.
+        flatten: Whether observations are one vector instead of a dictionary of arrays; not on a device.
         observations: Names of sensors and images; each agent gets those that it has.
         reward: Reward of social navigation: ``paper`` or ``habitat``.
         partner: Policy of the agents that do not act.
@@ -284,7 +287,7 @@ def make(
     """
     options: dict[str, Any] = {
         "num_envs": num_envs, "device": device, "agents": agents, "render_mode": render_mode,
-        "observations": observations, "reward": reward, "partner": partner, "level": level, "spec": spec,
+        "flatten": flatten, "observations": observations, "reward": reward, "partner": partner, "level": level, "spec": spec,
         "roster": roster, "robot": robot, "human": human, "depth_size": depth_size, "rgb_size": rgb_size,
         "light": light, "noise": noise, "end_on_success": end_on_success,
         "interrupts_when_close": interrupts_when_close, "threads": threads, "dtype": dtype, "episodes": episodes,

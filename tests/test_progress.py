@@ -61,17 +61,17 @@ def test_no_line_is_written_again() -> None:
 
 
 def test_kernels_are_not_announced_between_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    from h3data import kernels
+    from h3data.kernels import decorators
 
     monkeypatch.delenv(QUIET, raising=False)
     for begun in (False, True):
         monkeypatch.setattr(progress_module, "_shown", False)
         said: list[str] = []
-        monkeypatch.setattr(kernels._log, "info", said.append)
-        monkeypatch.setattr(kernels._log, "hasHandlers", lambda: True)
-        monkeypatch.setattr(kernels.socket.socket, "bind", lambda *_: None)
+        monkeypatch.setattr(decorators._log, "info", said.append)
+        monkeypatch.setattr(decorators._log, "hasHandlers", lambda: True)
+        monkeypatch.setattr(decorators.socket.socket, "bind", lambda *_: None)
         if begun:
             with redirect_stderr(Stream()):
                 progress(range(3), desc="render", unit="frame").display()
-        kernels._announce.__wrapped__()
-        assert said == ([] if begun else [kernels.ANNOUNCEMENT])
+        decorators._announce.__wrapped__()
+        assert said == ([] if begun else [decorators.ANNOUNCEMENT])

@@ -96,7 +96,7 @@ def test_interrupted_copies_hold_whole_episodes(
 
     monkeypatch.setattr(syncing, "_THREADS", 1)
     monkeypatch.setattr(syncing, "_copy_file", until)
-    with pytest.raises(KeyboardInterrupt, match="the same command goes on"):
+    with pytest.raises(KeyboardInterrupt, match="the same call goes on"):
         h3data.sync(dataset, tmp_path)
     if (tmp_path / "h3/schema.json").is_file():
         partly = Dataset(tmp_path)

@@ -121,7 +121,7 @@ def test_a_shard_is_visible_from_its_commit_on(store: str) -> None:
         assert len(again) == 1
         again.add(EPISODES[2])
     assert recordings_equal(Dataset(f"{store}/ds")[1], EPISODES[2]) == []
-    with pytest.raises(InputError, match="The dataset exists"):
+    with pytest.raises(InputError, match="The folder holds a dataset"):
         DatasetWriter(f"{store}/ds")
     with DatasetWriter(f"{store}/ds", overwrite=True) as anew:
         anew.add(EPISODES[2])

@@ -188,7 +188,7 @@ def test_names() -> None:
     assert [s.name for s in test[:2]] == ["h3-homes/test#0", "h3-homes/test#1"]
     assert named_scenes("h3-homes/test#3") == named_scenes("h3-homes/test#test_03") == (test[3],)
     for bad, words in (
-        ("castle", "h3-homes/train, h3-homes/val"),
+        ("castle", "h3data scenes list"),
         ("h3-homes", "h3-homes/train or h3-homes/val or h3-homes/test"),
         ("h3-homes/dev", "Which split"),
         ("h3-homes/test#10", "It has 10: 0 to 9, or by id: test_00"),

@@ -721,7 +721,7 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
         assert main(["train", *options, *out]) == 2
         assert message in capsys.readouterr().err
     assert main(["train", "rearrange", "-o", str(whole)]) == 2
-    assert "not empty" in capsys.readouterr().err
+    assert "holds a training run" in capsys.readouterr().err
 
 
 def test_a_critic_is_told_who_the_partner_is() -> None:

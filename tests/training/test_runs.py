@@ -332,7 +332,7 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
     assert more == 131072 * 64 * 48 * (3 - 1) * 2  # half precision
     assert not (tmp_path / "n").exists()
     assert main(["train", "social_nav", "-o", str(whole)]) == 2
-    assert "not empty" in capsys.readouterr().err
+    assert "holds a training run" in capsys.readouterr().err
     assert main(["train", "social_nav", "--stop-after", "0", "-o", str(tmp_path / "n")]) == 2
     assert "more than 0 minutes" in capsys.readouterr().err
     if not torch.cuda.is_available():

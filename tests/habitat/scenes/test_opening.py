@@ -35,7 +35,7 @@ def test_a_config_cannot_reach_out_of_its_dataset(tmp_path: Path) -> None:
     made.json("objects/brick.object_config.json", {"render_asset": "../../../brick.glb"})
     scene = made.load({"template_name": "brick"})
     assert [i.name for i in scene.instances] == ["stage"]
-    assert any("leads out of the dataset" in w and "--assets" in w for w in scene.source["warnings"])
+    assert any("leads out of the dataset" in w and "assets=" in w for w in scene.source["warnings"])
     with pytest.raises(SceneError, match="leads out"):
         made.load({"template_name": "brick"}, options={"strict": True})
     assert len(made.load({"template_name": "brick"}, options={"assets": [tmp_path], "strict": True}).instances) == 2

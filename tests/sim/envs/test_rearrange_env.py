@@ -340,7 +340,7 @@ def test_what_is_no_command_moves_nothing(action: Any) -> None:
         ({"partner": "nobody"}, "plan_pop_4"),
         ({"agents": ("human",), "partner": "both"}, "greedy_nearest"),
         ({"partner": "greedy_nearest"}, "plan_pop_4"),
-        ({"scenes": "castle"}, "small, medium, large"),
+        ({"scenes": "castle"}, "h3data scenes list"),
         ({"robot": "tank"}, "quad_arm"),
         ({"human": "ghost"}, "female_0"),
         ({"render_mode": "human"}, "render mode"),

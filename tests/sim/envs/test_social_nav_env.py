@@ -409,7 +409,7 @@ def test_actions_are_clipped() -> None:
     ("options", "message"),
     [
         ({"task": "chess"}, "Expected one of: .*social_nav"),
-        ({"scenes": "castle"}, "small, medium, large"),
+        ({"scenes": "castle"}, "h3data scenes list"),
         ({"scenes": []}, "at least one scene"),
         ({"scenes": 3}, "names or Scene"),
         ({"num_envs": 0}, "at least 1 world"),

@@ -250,7 +250,7 @@ def test_a_track_that_is_no_clip_is_refused(episode: Recording) -> None:
     for step in (-1, 151):
         with pytest.raises(InputError, match="from 0 to 150"):
             resume(episode, step)
-    with pytest.raises(InputError, match="--policy"):
+    with pytest.raises(InputError, match="policy="):
         resume(with_info(policy="learned")(episode), 5)
 
 

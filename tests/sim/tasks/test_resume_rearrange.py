@@ -220,7 +220,7 @@ def test_a_policy_may_be_any_object(world: RearrangeEpisode, episode: Recording)
     other = resume(replace(episode, episode=replace(episode.episode, info=cut)), STEP, policy=Mine())
     assert other.episode.info["policy"] == "Mine"
     assert verify(other).equal
-    with pytest.raises(InputError, match="--policy"):
+    with pytest.raises(InputError, match="policy="):
         resume(other, STEP)
     assert resume(other, 90, policy="complement").episode.info["policy"] == "complement"
 
