@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AsyncExitStack, contextmanager
 from pathlib import Path
 from statistics import median
@@ -276,19 +276,27 @@ async def _crash(emit: Emit, running: Server) -> None:
         emit("hitl.worker_killed_rows_lost", max(0, before - client.step), "rows")
 
 
+async def _attacked(
+    players: Sequence[Client], *arguments: str
+) -> tuple[list[asyncio.Task[None]], subprocess.Popen[bytes]]:
+    """Lets players play for `SIEGE_S` and hostile clients begin, which have these arguments; counts after one second."""
+    end = time.monotonic() + SIEGE_S
+    playing = [asyncio.create_task(play(client, k, end)) for k, client in enumerate(players)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, "-m", "tests.viewers.hitl.hostile", *arguments]
+    crowd = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment)
+    await asyncio.sleep(1.0)
+    for client in players:
+        client.times.clear()
+        client.played_s = 0.0
+    return playing, crowd
+
+
 async def _siege(emit: Emit, running: Server) -> None:
     """Two players beside fifty hostile clients, which are a process of their own."""
     async with AsyncExitStack() as stack:
         players = [c for c in [await seated(stack, running.link) for _ in range(2)] if c is not None]
-        end = time.monotonic() + SIEGE_S
-        playing = [asyncio.create_task(play(c, k, end)) for k, c in enumerate(players)]
-        command = [sys.executable, "-m", "tests.viewers.hitl.hostile", running.link, "50", str(SIEGE_S)]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        crowd = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment)
-        await asyncio.sleep(1.0)
-        for client in players:
-            client.times.clear()
-            client.played_s = 0.0
+        playing, crowd = await _attacked(players, running.link, "50", str(SIEGE_S))
         await asyncio.sleep(SIEGE_S - 1.0)
         rates = [len(c.times) / max(c.played_s, PERIOD_S) for c in players]
         lost = sum(c.close_code is not None for c in players)
@@ -335,15 +343,7 @@ async def _besieged_study(emit: Emit, running: Server) -> None:
             await client.connect()
             await client.until(lambda client=client: client.step, 60)
             players.append(client)
-        end = time.monotonic() + SIEGE_S
-        playing = [asyncio.create_task(play(c, k, end)) for k, c in enumerate(players)]
-        command = [sys.executable, "-m", "tests.viewers.hitl.hostile", running.link, "40", str(SIEGE_S), ",".join(pids)]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        crowd = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment)
-        await asyncio.sleep(1.0)
-        for client in players:
-            client.times.clear()
-            client.played_s = 0.0
+        playing, crowd = await _attacked(players, running.link, "40", str(SIEGE_S), ",".join(pids))
         cpu, begun = running.cpu_s(), time.monotonic()
         await asyncio.sleep(SIEGE_S - 1.0)
         wall = time.monotonic() - begun

@@ -20,19 +20,20 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from h3data.api import make, measure, open, render_frame, session, simulate
+    from h3data.api import make, measure, open, render_frame
     from h3data.errors import H3DataError
     from h3data.recording import Dataset, Episodes, Recording
     from h3data.replay import Replay
     from h3data.scene import HomeSpec, Scene, build_home
     from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, report, rerender, sync, view
+    from sim_kinematic.tasks.sessions import session, simulate
 
 _HOMES = {
     "make": "h3data.api",
     "open": "h3data.api",
     "render_frame": "h3data.api",
-    "session": "h3data.api",
-    "simulate": "h3data.api",
+    "session": "sim_kinematic.tasks.sessions",
+    "simulate": "sim_kinematic.tasks.sessions",
     "measure": "h3data.api",
     "card": "h3data_pipelines.api",
     "evaluate": "h3data_pipelines.api",

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from h3data.habitat.scenes.scene_dataset import SceneDataset
     from h3data.metrics import EpisodeMetrics, MetricsTable
     from h3data.scene import Scene
-    from sim_kinematic.tasks.runner import Session
 
 T = TypeVar("T")
 _GLOB = re.compile(r"[*?\[]")
@@ -295,73 +294,6 @@ def make(
     }  # fmt: skip
     given = {name: value for name, value in options.items() if value is not None}
     return _simulator("envs.make").make(task, scenes, **given, **task_options)
-
-
-def session(
-    task: Any,
-    scenes: Any = "small:0",
-    *,
-    agents: Mapping[str, Any] | None = None,
-    roster: str | Sequence[str] | None = None,
-    seed: int = 0,
-    index: int = 0,
-    spec: Any = None,
-    record: str | os.PathLike[str] | None = None,
-    overwrite: bool = False,
-    share_in: str | os.PathLike[str] | None = None,
-    robot: str = "quad_arm",
-    human: str = "female_0",
-    **rules: Any,
-) -> Session:
-    """Begins an episode that is played one step at a time, with agents driven from outside (h3data docs sessions).
-
-    Args:
-        task: Name, ``module:Class``, or a task.
-        scenes: Homes, as in `make`; ``seed`` and ``index`` choose one of them.
-        agents: Policy of each agent, by agent or kind: a name, a policy, a function, or
-            `sim_kinematic.policies.policy.External` for one that `Session.act` controls.
-        roster: Agents that are present (default: the task's).
-        seed: Seed of the run.
-        index: Number of the episode in the run.
-        spec: Rules of the task (default: the task's).
-        record: MCAP file that grows while the episode runs; None keeps the recording in memory.
-        overwrite: Whether an existing file is replaced.
-        share_in: Folder around ``record`` whose recordings share their scenes; None stores the scene in the recording.
-        robot: Body of robots.
-        human: Body of people.
-        **rules: Fields of the rules to change, such as ``max_steps=900`` or ``human_speed=1.2``.
-
-    Raises:
-        InputError: there is no such task, scene, agent, policy or rule.
-        SceneError: no scene has room for the episode.
-    """
-    return _simulator("tasks.sessions").session(
-        task, scenes, agents=agents, roster=roster, seed=seed, index=index, spec=spec, record=record,
-        overwrite=overwrite, share_in=share_in, robot=robot, human=human, **rules,
-    )  # fmt: skip
-
-
-def simulate(
-    task: Any,
-    scenes: Any = "small:0",
-    *,
-    agents: Mapping[str, Any] | None = None,
-    roster: str | Sequence[str] | None = None,
-    seed: int = 0,
-    index: int = 0,
-    spec: Any = None,
-    record: str | os.PathLike[str] | None = None,
-    overwrite: bool = False,
-    share_in: str | os.PathLike[str] | None = None,
-    robot: str = "quad_arm",
-    human: str = "female_0",
-    **rules: Any,
-) -> Recording:
-    """Plays one episode under policies and returns its recording. Arguments and errors are those of `session`."""
-    return _simulator("tasks.sessions").simulate(
-        task, scenes, agents=agents, roster=roster, seed=seed, index=index, spec=spec, record=record,
-        overwrite=overwrite, share_in=share_in, robot=robot, human=human, **rules,
-    )  # fmt: skip
 
 
 def _simulator(module: str) -> Any:

@@ -1,4 +1,5 @@
-"""Location of the data that ship with the package: `datasets/` in a checkout, `h3data/_datasets` in an installed wheel."""
+"""Location of what ships with the package: `datasets/` and `docs/` in a checkout, `h3data/_datasets` and `h3data/_docs` in an
+installed wheel."""
 
 from __future__ import annotations
 
@@ -13,28 +14,27 @@ def builtin_root() -> Path:
     Raises:
         InputError: the installation is incomplete.
     """
-    package = Path(__file__).resolve().parent
-    for candidate in (package / "_datasets", package.parent / "datasets"):
-        if candidate.is_dir():
-            return candidate
-    raise InputError(
-        f"The built-in data of h3data are missing: expected a folder _datasets beside {package}/__init__.py. "
-        "Hint: reinstall the wheel (pip install --force-reinstall h3data)."
-    )
+    return _shipped("_datasets", "datasets", "built-in data of h3data")
 
 
 def pages_root() -> Path:
-    """Folder of the documentation's pages: `docs/` in a checkout, `h3data/_docs` in an installed wheel.
+    """Folder of the documentation's pages.
 
     Raises:
         InputError: the installation is incomplete.
     """
+    return _shipped("_docs", "docs", "pages of the documentation")
+
+
+def _shipped(installed: str, checkout: str, what: str) -> Path:
+    """A folder that ships with the package: within it where it is installed, beside it in a checkout."""
     package = Path(__file__).resolve().parent
-    for candidate in (package / "_docs", package.parent / "docs"):
+    for candidate in (package / installed, package.parent / checkout):
         if candidate.is_dir():
             return candidate
     raise InputError(
-        f"The pages of the documentation are missing: expected a folder _docs beside {package}/__init__.py."
+        f"The {what} are missing: expected a folder {installed} beside {package}/__init__.py. "
+        "Hint: reinstall the wheel (pip install --force-reinstall h3data)."
     )
 
 

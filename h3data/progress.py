@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 from collections.abc import Iterable
@@ -81,16 +82,19 @@ def progress(
     if silent or terminal:
         return tqdm(items, delay=delay, leave=leave, **shared)
     form = _LINE_WITHOUT_TOTAL if total is None else _LINE
-    # miniters: else tqdm counts from line to line only, and a thread of its own repeats the last line every ten seconds
+    # miniters: else tqdm guesses how many units make a line, and a line comes late where they become slower
     every = {"mininterval": LINE_EVERY_S, "miniters": 1, "delay": LINE_EVERY_S}
     return _lines_bar()(items, **every, leave=False, bar_format=form, **shared)
 
 
+@functools.cache
 def _lines_bar() -> type[tqdm[Any]]:
     """A bar that writes lines instead of overwriting one: control characters would fill a log file."""
     from tqdm import tqdm
 
     class Lines(tqdm):
+        monitor_interval = 0  # no thread that repeats the last line, with its stale estimate, every ten seconds
+
         @property
         def format_dict(self) -> dict[str, Any]:
             shown = dict(super().format_dict)

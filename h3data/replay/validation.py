@@ -351,27 +351,14 @@ def _scene_of(glb: bytes) -> Scene:
 
 
 @lru_cache(maxsize=_SCENES_KEPT)
-def _free_space(scene: _ByIdentity) -> FreeSpace:
-    return FreeSpace.from_scene(scene.scene)
-
-
-@dataclass(frozen=True, eq=False)
-class _ByIdentity:
-    """A scene as the key of a cache."""
-
-    scene: Scene
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _ByIdentity) and self.scene is other.scene
-
-    def __hash__(self) -> int:
-        return id(self.scene)
+def _free_space_of(glb: bytes) -> FreeSpace:
+    return FreeSpace.from_scene(_scene_of(glb))
 
 
 def _in_walls(rec: Recording, replay: _Poses) -> Iterator[Finding]:
     assert replay.scene is not None
     try:
-        free = _free_space(_ByIdentity(replay.scene))
+        free = _free_space_of(bytes(rec.attachments["scene.glb"]))
     except H3DataError as fault:
         yield _warning("penetration", "scene.glb", f"walls are not checked: {fault}")
         return

@@ -35,22 +35,23 @@ def session(
     human: str = HUMAN_BODY,
     **rules: Any,
 ) -> Session:
-    """An episode to be played one step at a time, by whoever brings a clock.
+    """Begins an episode that is played one step at a time, with agents driven from outside (h3data docs sessions).
 
     Args:
-        task: By name, ``module:Class``, or a `Task`.
-        scenes: Where to play, as `h3data.make`.
-        agents: Policy of each agent: a name, a `Policy`, a function, or `External` for one that `Session.act` controls.
-        roster: Who is there (default: the task's).
-        seed: Of the run; with ``index`` it decides scene and episode.
+        task: Name, ``module:Class``, or a task.
+        scenes: Homes, as in `h3data.make`; ``seed`` and ``index`` choose one of them.
+        agents: Policy of each agent, by agent or kind: a name, a policy, a function, or
+            `sim_kinematic.policies.policy.External` for one that `Session.act` controls.
+        roster: Agents that are present (default: the task's).
+        seed: Seed of the run.
         index: Number of the episode in the run.
-        spec: The rules (default: the task's).
+        spec: Rules of the task (default: the task's).
         record: MCAP file that grows while the episode runs; None keeps the recording in memory.
         overwrite: Whether an existing file is replaced.
-        share_in: A folder around ``record`` whose recordings share their scenes (`RecordingWriter`); None stores the scene
-            in the recording.
-        robot: Body of robots named by their kind.
-        human: Body of people named by their kind.
+        share_in: Folder around ``record`` whose recordings share their scenes (`RecordingWriter`); None stores the scene in
+            the recording.
+        robot: Body of robots.
+        human: Body of people.
         **rules: Fields of the rules to change, such as ``max_steps=900`` ``human_speed=1.2`` or
             ``human_walk="paper"``.
 

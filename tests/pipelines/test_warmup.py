@@ -111,6 +111,7 @@ def test_work_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_compiling_aside_ends_with_the_block(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shipped, "folder", lambda: None)
+    monkeypatch.setattr(warmup, "compiled_files", dict)
     with compiled_aside(["pictures"]) as aside:
         assert aside is not None
         assert aside.poll() is None

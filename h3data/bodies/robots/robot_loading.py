@@ -72,9 +72,21 @@ def robot_digest(name_or_path: str | Path) -> str:
     if is_built_in(name_or_path):
         return ""
     files = find_robot(name_or_path)
-    meshes = mesh_files(read_urdf(files.urdf, allow_missing=True, warn=False).links)
+    parts = (*files, *_meshes_of(files.urdf, _version(files.urdf)))
+    return _digest_of(*((file, _version(file)) for file in parts))
+
+
+@lru_cache(maxsize=32)
+def _meshes_of(urdf: Path, version: tuple[int, int]) -> tuple[Path, ...]:
+    del version  # only part of the key: a changed file is read again
+    return tuple(mesh_files(read_urdf(urdf, allow_missing=True, warn=False).links))
+
+
+@lru_cache(maxsize=32)
+def _digest_of(*parts: tuple[Path | None, tuple[int, int]]) -> str:
+    """Of files with their versions, by which changed ones are read again: each episode of a dataset asks for it."""
     digest = hashlib.sha256()
-    for file in (*files, *meshes):
+    for file, _ in parts:
         data = file.read_bytes() if file is not None and file.is_file() else None
         digest.update((-1 if data is None else len(data)).to_bytes(8, "little", signed=True))
         digest.update(data or b"")

@@ -117,8 +117,7 @@ class CpuEngine:
         key = repr((camera.hidden_layers, id(world), view[3:])).encode()
         key += view.axes.tobytes() + view.eye.tobytes() + view.intrinsics.tobytes()
         drawing = drawings.of(key, view, draws=scene.draw_limit, instances=len(scene.instances))
-        tints = np.ones((len(shown), 4), np.float32) if world.blockers is None else world.blockers.tints.copy()
-        now = Shown(world.matrix.copy(), shown.copy(), dict(world.vertices), tints)
+        now = world.state(shown) if drawing.stands else None
         changed, again = drawing.changed(now, scene.instance_mesh), drawing.shown is not None
         drawing.shown = None
         rasterise(world.geometry, scene.cutouts, placement, view, drawing.target, changed)
@@ -217,6 +216,11 @@ class World:
         if not hidden_layers:
             return self.visible
         return self.visible & ~np.isin(self.scene.layers, hidden_layers)
+
+    def state(self, shown: NDArray[np.bool_]) -> Shown:
+        """What a picture in which these instances [I] are visible depends on, as it is now."""
+        tints = np.ones((len(shown), 4), np.float32) if self.blockers is None else self.blockers.tints.copy()
+        return Shown(self.matrix.copy(), shown.copy(), dict(self.vertices), tints)
 
     def set_transforms(self, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
         self.matrix[instances] = matrices

@@ -37,16 +37,18 @@ class Drawing:
     """A target, and what it shows."""
 
     target: Target
+    stands: bool = False
+    """Whether it is that of a camera that stands still."""
     shown: Shown | None = None
-    """None: nothing that the next image could begin with."""
+    """None: nothing that the next image could begin with, as of all cameras that move."""
     picture: KeptPicture | None = None
     """The picture of what the target shows."""
     last_used: int = 0
 
-    def changed(self, now: Shown, mesh: NDArray[np.int32]) -> NDArray[np.bool_]:
+    def changed(self, now: Shown | None, mesh: NDArray[np.int32]) -> NDArray[np.bool_]:
         """The instances that differ from those shown, shape [I], of which ``mesh`` [I] are the meshes; [0] for all of them."""
         before = self.shown
-        if before is None:
+        if before is None or now is None:
             return np.zeros(0, np.bool_)
         changed = before.visible != now.visible
         changed |= (before.matrix.view(np.int64) != now.matrix.view(np.int64)).any((1, 2))  # NaN is equal to itself
@@ -80,7 +82,8 @@ class Drawings:
             return self.still[key]
         size = (view.width, view.height)
         if standing and self._has_room():
-            drawing = Drawing(new_target(*size, draws=draws, instances=instances), last_used=self._count)
+            target = new_target(*size, draws=draws, instances=instances)
+            drawing = Drawing(target, stands=True, last_used=self._count)
             self.still[key] = drawing
             return drawing
         drawing = self.moving.pop(size, None) or Drawing(new_target(*size, draws=draws, instances=instances))

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,7 +18,6 @@ from h3data.errors import InputError
 from h3data.files import size_text
 from h3data.progress import is_quiet, progress
 from h3data.recording import Recording
-from h3data.render.light.sources import LightMode
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.terminal import counted
 from h3data_pipelines.command import (
@@ -91,7 +90,8 @@ class Demo:
             for name in FILES:
                 (out / name).unlink(missing_ok=True)
         clock = _Clock()
-        with _compiled_aside(self.light):
+        # the kernels of people come last: this process needs them early, and compiles them meanwhile
+        with compiled_aside(["pictures", *(["light"] if self.light == "baked" else []), "people"]):
             with clock.part("simulate"):
                 recording = self._simulate(out / "episode.mcap")
             with clock.part("metrics"):
@@ -149,19 +149,6 @@ VIDEOS: dict[str, tuple[str, Output]] = {
     "arm_depth": ("robot_arm", "depth"),
 }
 """Camera and output of each video."""
-
-
-@contextmanager
-def _compiled_aside(light: LightMode) -> Iterator[None]:
-    """Compiles kernels in a second process while the block runs, unless those of pictures have been compiled before."""
-    from h3data.kernels import compiled_files
-    from h3data.render.raster.raster import rasterise
-
-    known = any(rasterise.__name__ in Path(file).name for file in compiled_files())
-    # the kernels of people come last: this process needs them early, and compiles them meanwhile
-    parts = ["pictures", *(["light"] if light == "baked" else []), "people"]
-    with nullcontext() if known else compiled_aside(parts):
-        yield
 
 
 def _tracks(replay: Replay, size: tuple[int, int] | None) -> dict[str, CameraTrack]:

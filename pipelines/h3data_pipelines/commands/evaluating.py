@@ -50,8 +50,8 @@ class Evaluate:
     """Robots, separated by commas. social_nav: rollout_expert, heuristic_expert, sampling_expert, future_oracle,
     learned_follower, end_to_end, end_to_end_paper, random, stand_still or weights:FILE; rearrange: complement,
     greedy_nearest, same_object, still, and the learned learn_single, plan_pop_3_robot and learn_pop; or all.
-    weights:out/s*/policy.npz, in quotes, stands
-    for all files that fit: they are one row, the mean over training seeds and its standard deviation."""
+    weights:out/s*/policy.npz, in quotes, stands for all files that fit: they are one row, the mean over training seeds and its
+    standard deviation."""
     partners: str = ALL
     """rearrange: policies of the person, as --partner of h3data generate, separated by commas: plan_pop_1 to plan_pop_4,
     both, object_1, object_2, still, and the learned learn_single_partner_0 to _2 and learn_pop_partner_0 to _2; or all."""

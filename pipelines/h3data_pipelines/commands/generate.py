@@ -120,8 +120,7 @@ class Generate:
     """Robot policy. social_nav: rollout_expert (default), heuristic_expert, sampling_expert, future_oracle (knows their walk),
     learned_follower, end_to_end and end_to_end_paper (see by cameras), random or stand_still; rearrange: complement
     (default), greedy_nearest, same_object, still, the learned learn_single, plan_pop_3_robot and learn_pop (h3data docs
-    populations), or solo (there is no
-    robot). Both: weights:FILE, a learned one (h3data docs learned-policies)."""
+    populations), or solo (there is no robot). Both: weights:FILE, a learned one (h3data docs learned-policies)."""
     partner: str | None = None
     """rearrange: policy of the person: both (default), object_1, object_2, still; plan_pop_1 to plan_pop_4, populations of
     which each episode samples one; or a learned one, learn_single_partner_0 to _2, learn_pop_partner_0 to _2, weights:FILE."""

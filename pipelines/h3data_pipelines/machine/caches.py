@@ -9,7 +9,7 @@ from typing import Any
 
 import tyro
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import InputError, suggest
 from h3data.files import cache_folder, size_text
 from h3data.terminal import counted
 from h3data_pipelines.command import Group, JsonFlag, Outcome
@@ -103,9 +103,7 @@ class CacheClear:
     def run(self) -> Outcome:
         for name in self.names:
             if name not in KINDS:
-                raise InputError(
-                    f"Unknown cache {name!r}.{did_you_mean(name, KINDS)} Expected one of: {', '.join(KINDS)}."
-                )
+                raise InputError(f"Unknown cache {name!r}.{suggest(name, KINDS)}")
         freed: dict[str, int] = {}
         for cache in find_caches():
             if cache.name in (self.names or KINDS):

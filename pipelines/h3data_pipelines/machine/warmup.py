@@ -79,10 +79,13 @@ def compiled_aside(names: Sequence[str]) -> Iterator[subprocess.Popen[str] | Non
     """Compiles the kernels of some of `WORK` in a process of its own while the block runs.
 
     numba compiles in one thread of a process at a time. When this process needs a kernel that the other one is compiling,
-    it waits for it (`h3data.kernels`). When all is compiled, the other process takes a second of one core. Where kernels come
-    compiled (`h3data.kernels.shipped`) there is no such process, and None in its place.
+    it waits for it (`h3data.kernels`). Where kernels come compiled (`h3data.kernels.shipped`), or those of pictures have been
+    compiled before, there is no such process, and None in its place.
     """
-    if shipped.folder() is not None:
+    from h3data.render.raster.raster import rasterise
+
+    known = any(rasterise.__name__ in Path(file).name for file in compiled_files())
+    if known or shipped.folder() is not None:
         yield None
         return
     aside = _start(names, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

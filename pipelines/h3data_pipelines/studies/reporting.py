@@ -79,7 +79,7 @@ class StudyReport:
         out = folder / REPORT if self.out is None else self.out
         claim_folder(out, force=self.force or self.out is None)
         # before anything is measured: what people have answered does not hang on how their episodes went
-        write_rows(out / "answers.csv", answer_rows(design, people, free_text=self.free_text))
+        write_rows(out / "answers.csv", answer_rows(people, free_text=self.free_text))
         write_rows(out / "checks.csv", check_rows(everyone))
         write_rows(out / "focus.csv", focus_rows(everyone))
         write_rows(out / "participants.csv", participant_rows(design, everyone))

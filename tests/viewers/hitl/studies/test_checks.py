@@ -93,7 +93,7 @@ def test_questions_come_after_each_episode_and_name_it() -> None:
         "form/2/1/mood", "episode/2/2", "form/2/2/mood",
     ]  # fmt: skip
     person = person_of(design, progress)
-    rows = answer_rows(design, [person], free_text=False)
+    rows = answer_rows([person], free_text=False)
     assert [dict(zip(rows[0], row, strict=True))["trial"] for row in rows[1:]] == ["1", "2", "1", "2"]
     means = {m.condition: m for m in form_means(design, [person])[0]}
     assert (means["still"].mean, means["still"].people) == ((5 + 7) / 2, 1)

@@ -179,9 +179,9 @@ def test_a_form_after_consent_is_asked_again_at_the_end() -> None:
     person = Participant(
         number=1, id="P", place=0, joined=0.0, used=0.0, idle=0.0, language="en", consent={}, ids={}, progress=progress
     )
-    assert [(form.title, answers["mood"]) for form, _, answers in filled(design, person)] == [
+    assert [(form.title, answers["mood"]) for form, _, answers in filled(person)] == [
         ("consent", 1), ("condition", 2), ("condition", 3), ("end", 4),
     ]  # fmt: skip
-    assert [row[-2:] for row in answer_rows(design, [person], free_text=False)] == [
+    assert [row[-2:] for row in answer_rows([person], free_text=False)] == [
         ["after", "answer"], ["consent", "1"], ["condition", "2"], ["condition", "3"], ["end", "4"],
     ]  # fmt: skip

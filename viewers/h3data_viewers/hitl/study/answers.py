@@ -45,9 +45,8 @@ class FormDifference:
     people: int
 
 
-def filled(design: Design, person: Participant) -> Iterator[tuple[Form, str, Answers]]:
+def filled(person: Participant) -> Iterator[tuple[Form, str, Answers]]:
     """A participant's forms with their condition (empty: of none) and answers."""
-    del design
     for _, form, condition, answers in filled_stages(person):
         yield form, condition, answers
 
@@ -65,7 +64,7 @@ def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[Form
     """Means of all forms with scales by condition, and the paired differences of conditions."""
     given: dict[str, dict[str, dict[str, list[float]]]] = {}
     for person in people:
-        for form, condition, answers in filled(design, person):
+        for form, condition, answers in filled(person):
             value = score(form, answers)
             if condition and value is not None:  # questions after each episode are asked several times in a condition
                 given.setdefault(form.id, {}).setdefault(condition, {}).setdefault(person.id, []).append(value)
@@ -95,9 +94,8 @@ def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[Form
     return means, differences
 
 
-def answer_rows(design: Design, people: Sequence[Participant], *, free_text: bool) -> list[list[str]]:
+def answer_rows(people: Sequence[Participant], *, free_text: bool) -> list[list[str]]:
     """All answers, a row each, with a header; what people wrote themselves only with ``free_text``: it may say who they are."""
-    del design
     rows = [["participant", "condition", "form", "item", "kind", "block", "trial", "right", "after", "answer"]]
     for person in people:
         for stage, form, condition, answers in filled_stages(person):

@@ -142,10 +142,14 @@ class Item(Record, frozen=True):
     """The answer, or the answers, that are right (of a choice: the number of the option, from 0): the item is a check, and does
     not count in the mean of the form. Pages are not told it."""
 
+    @property
+    def right_answers(self) -> list[float] | None:
+        """All answers that are right; None: the item is no check."""
+        return [self.right] if isinstance(self.right, int | float) else self.right
+
     def is_right(self, answer: float | str | None) -> bool:
         """Whether an answer passes; every answer does where the item is no check."""
-        right = [self.right] if isinstance(self.right, int | float) else self.right
-        return right is None or answer in right
+        return self.right_answers is None or answer in self.right_answers
 
 
 class Form(Record, frozen=True):

@@ -180,7 +180,7 @@ def _check_language(design: Design, language: str) -> None:
 def _check_answers(form: Form) -> None:
     """Checks that what is right in a form can be answered, and is not told by a rule without any check."""
     for item in form.items:
-        right = [item.right] if isinstance(item.right, int | float) else item.right
+        right = item.right_answers
         if right is None:
             continue
         if item.kind == "text" or not right:

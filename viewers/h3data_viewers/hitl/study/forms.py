@@ -146,8 +146,8 @@ def right_answers(design: Design) -> dict[tuple[str, str], float]:
     found: dict[tuple[str, str], float] = {}
     for form in map(resolved, design.forms):
         for item in form.items:
-            if item.right is not None:
-                found[form.id, item.id] = item.right if isinstance(item.right, int | float) else item.right[0]
+            if item.right_answers is not None:
+                found[form.id, item.id] = item.right_answers[0]
     return found
 
 
