@@ -184,8 +184,9 @@ def shortened(words: list[str]) -> list[str]:
             words = [*_without(words, "--episodes", "--workers"), "--episodes", episodes]
             words += [] if {"rearrange", "skill"} & set(words) else ["--max-steps", "20"]
         case ["train", *_]:
+            is_fast = "fast" in words or "--init" in words  # later commands begin with what earlier ones have trained
             words = _without(words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds", "--rollout")
-            words += ["--recipe", "fast"] if "--init" in words else []
+            words += ["--recipe", "fast"] if is_fast else []
             words += ["--scenes", "h3-homes/train#0", "--updates", "1"]
             words += [] if "rearrange" in words else ["--worlds", "8"]
         case ["demo", *_]:
