@@ -279,6 +279,28 @@ async function layout() {
   return { layout: faults, rings, lives, ...(await player.close()) };
 }
 
+/**
+ * A pixel that shows the player's own body. The camera moves out slowly from whatever is behind the body, and close to a wall it shows
+ * a part of the body or none: the view turns until it does.
+ */
+async function ownBody(player) {
+  for (let turns = 0; turns < 12; turns++) {
+    for (let looks = 0; looks < 5; looks++) {
+      const pixel = await player.ask(`(() => { const { game } = probe;
+        for (let y = 0.4; y > -1; y -= 0.1)
+          for (let x = -0.6; x < 0.7; x += 0.1) {
+            const pixel = [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight];
+            if (game.pointing.agent(x, y, game.camera.camera) === game.manifest.me && document.elementFromPoint(...pixel)?.id === "view") return pixel;
+          }
+        return null; })()`);
+      if (pixel) return pixel;
+      await player.drawn(2);
+    }
+    await player.ask("probe.game.camera.look(Math.PI / 5, 0); 0");
+  }
+  throw new Error("The view was turned all around, and the own body was never seen");
+}
+
 /** An empty hand, a click on the own body, hints for a mouse and for fingers; also where there is nothing to take. */
 async function hands() {
   const player = await openPage(url);
@@ -293,14 +315,7 @@ async function hands() {
   }
   const keys = await text("hint");
   const help = await text("keys");
-  // the camera is near in narrow places: only a part of the body is seen
-  const body = await player.ask(`(() => { const { game } = probe;
-    for (let y = 0.4; y > -1; y -= 0.1)
-      for (let x = -0.6; x < 0.7; x += 0.1) {
-        const pixel = [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight];
-        if (game.pointing.agent(x, y, game.camera.camera) === game.manifest.me && document.elementFromPoint(...pixel)?.id === "view") return pixel;
-      }
-    throw new Error("the own body is not seen"); })()`);
+  const body = await ownBody(player);
   const seq = await player.ask("probe.game.net.seq");
   await player.page.mouse.click(...body);
   await player.drawn(3);
