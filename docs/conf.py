@@ -41,6 +41,7 @@ project_copyright = "the h3data authors, MIT licence"
 version = release = h3data.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton", "sphinx_design"]
 default_role = "literal"
+exclude_patterns = ["changes/**"]  # entries of CHANGELOG.md that are not in it yet
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
 nb_execution_mode, nb_execution_timeout, nb_execution_raise_on_error = "force", 300, True
