@@ -179,7 +179,9 @@ def main(arguments: list[str] | None = None) -> int:
         or "The public interface is the same."
     )
     if gone and not fragments:
-        print("Some of it went away or has another signature. Tell users in a fragment docs/changes/TOPIC.changed.md.")
+        print(
+            "Some of it went away or has another signature. Tell users in a fragment TOPIC.changed.md in docs/changes/."
+        )
         return 1
     return 0
 

@@ -41,7 +41,7 @@ TorchObservation = Literal[
     "way",
     "range_scan",
 ]
-"""What a device shows; as in `sim_kinematic.envs.social_nav_observations`."""
+"""What a device shows; as in `sim_kinematic.sensing.table`."""
 PICTURED = ("arm_depth", "arm_rgb", "humanoid_detector")
 """Those that need a picture, and so a GPU."""
 OUTPUTS: dict[str, Output] = {"arm_depth": "depth", "humanoid_detector": "semantic"}

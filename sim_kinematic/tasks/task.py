@@ -61,7 +61,7 @@ class Task:
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
     """Name of the policy of each kind where none is chosen."""
     uses_common_policies: ClassVar[bool] = True
-    """Whether `sim_kinematic.policies.policy.COMMON` fit its agents."""
+    """Whether `sim_kinematic.policies.assignment.COMMON` fit its agents."""
 
     env_defaults: ClassVar[Mapping[str, Any]] = {}
     """Options of its environments that differ from the usual ones."""

@@ -1,7 +1,7 @@
-"""Social navigation in W worlds on a device: `sim_kinematic.tasks.social_nav_batch` as tensor operations.
+"""Social navigation in W worlds on a device: `sim_kinematic.tasks.social_nav` as tensor operations.
 
 State, actions and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new
-episodes is one CUDA graph. The same episodes with the same actions are those of `SocialNavBatch`, but for what a GPU cannot
+episodes is one CUDA graph. The same episodes with the same actions are those of the CPU, but for what a GPU cannot
 search for: the geodesic distance and where it leads are looked up (`sim_kinematic.torch.geodesic`, lengths mostly within
 0.1 %), contact is right to `sim_kinematic.torch.contact.TOLERANCE_M`; and arms always swing.
 """
@@ -237,7 +237,7 @@ class SocialNavTensors:
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def observation(self, name: str, play: Play) -> Tensor:
-        """One that needs no picture, as in `sim_kinematic.envs.social_nav_observations`, float32 [W, ...]."""
+        """One that needs no picture, as in `sim_kinematic.sensing.table`, float32 [W, ...]."""
         robot, human = play.robot, play.human
         if name == "humanoid_gps":
             shown = seen.polar(seen.in_base_frame(robot.xz, robot.heading, human.xz))

@@ -87,8 +87,8 @@ def test_what_goes_away_needs_a_fragment_of_the_changelog(
     assert capsys.readouterr().out == "+ g()\n"
     commit("api.txt", "f(b)\ng()\n")
     assert public_api.main(["--since", "HEAD~1"]) == 1
-    assert "docs/changes/TOPIC.changed.md" in capsys.readouterr().out
-    commit("docs/changes/f.changed.md", "Parameter a is b.\n")
+    assert "TOPIC.changed.md in docs/changes/" in capsys.readouterr().out
+    commit("docs/changes/" + "f.changed.md", "Parameter a is b.\n")
     assert public_api.main(["--since", "HEAD~2"]) == 0
     assert public_api.main(["--since", "HEAD"]) == 0
     assert capsys.readouterr().out.endswith("The public interface is the same.\n")

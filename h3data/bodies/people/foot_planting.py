@@ -56,7 +56,7 @@ class Contacts:
 def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
     """Frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of the left and right leg, in the frame of ``pelvis`` [T, 3].
 
-    As `h3data.bodies.people.skeleton.forward_kinematics`, for these joints alone: a seventh of the memory.
+    As `h3data.bodies.people.kernels.clips.joint_frames`, for these joints alone: a seventh of the memory.
     """
     frames = np.zeros((len(quats), 2, 4, 4, 4))
     frames[..., 3, 3] = 1

@@ -1,1 +1,1 @@
-"""Baked light: static surfaces carry the light of windows, sun and lamps in their vertex colours (`bake.lit_scene`)."""
+"""Light of windows, sun and lamps, baked into the colours of the vertices of static surfaces (`h3data.render.light.bake`)."""

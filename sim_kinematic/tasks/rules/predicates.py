@@ -1,5 +1,5 @@
 """What can be true of a state, as pure functions on arrays with any leading axes: Habitat's PDDL predicates (spec/habitat.md
-2.2) and those of social navigation. Golden values: tests/test_predicates.py."""
+2.2) and those of social navigation. Tests: tests/sim/sensing/test_sensors.py."""
 
 from __future__ import annotations
 
