@@ -1,8 +1,9 @@
-"""The shape of the house: no import circles between files, no flat folder that outgrows a table of contents."""
+"""The shape of the house: no circles of imports, none hidden in strings, no folder that outgrows a table of contents."""
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,8 +19,45 @@ PACKAGES = {
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
     "bake": ROOT / "pipelines" / "bake",
 }
+LAYERS = ("h3data", "sim_kinematic", "h3data_viewers", "h3data_training", "h3data_pipelines")
+"""Packages from the lowest to the highest."""
+AGAINST_THE_LAYERS = {
+    "h3data": ["h3data_pipelines.api", "sim_kinematic.tasks.sessions"],
+    "h3data.api": ["sim_kinematic"],
+    "h3data.formats.builtin_formats": [
+        "h3data.exporters.csv_tables",
+        "h3data.exporters.foxglove.foxglove_file",
+        "h3data.exporters.gfx_replay_export",
+        "h3data.exporters.gltf_animation",
+        "h3data.exporters.habitat.episodes",
+        "h3data.exporters.lerobot_export",
+        "h3data.exporters.robomimic",
+        "h3data.habitat.gfx.gfx_replay",
+        "h3data.habitat.hitl.hitl_paper_logs",
+        "h3data.habitat.hitl.hitl_sessions",
+    ],
+    "h3data.kernels.digests": ["sim_kinematic"],  # whose kernels are ours
+    "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
+    "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
+    "h3data.recording.records": ["h3data_viewers.notebook"],
+    "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
+    "h3data_viewers.hitl.app": [
+        "h3data_viewers.hitl.apps.rearrange",
+        "h3data_viewers.hitl.apps.social_nav",
+        "h3data_viewers.hitl.apps.teleop",
+        "h3data_viewers.hitl.apps.tutorial",
+    ],
+    "sim_kinematic.tasks.registry": ["sim_kinematic.tasks.rearrange.task"],
+}
+"""Modules that name a module above them, or one that imports them, in a string, and so hide an import from import-linter.
+
+Each is a debt, and the aim is an empty table: turn the arrow round by a registry with an entry point (`h3data.plugins`), and
+delete the line here.
+"""
 BLOCKS = (ast.stmt, ast.ExceptHandler, ast.match_case)
 """Where imports are; most of a tree is expressions, which have none."""
+DOTTED = re.compile(rf"(?:{'|'.join(PACKAGES)})(?:\.\w+)*")
+QUOTED = re.compile(rf"[\"'](?:{'|'.join(PACKAGES)})[\"'.]")
 FILES_PER_FOLDER = 15
 """Modules per folder, `__init__.py` not counted."""
 
@@ -46,6 +84,47 @@ def imported_names(tree: ast.Module) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
         waiting += [child for child in ast.iter_child_nodes(node) if isinstance(child, BLOCKS)]
+
+
+def names_in_strings(tree: ast.Module) -> Iterator[str]:
+    """Dotted names of our packages in strings, and beginnings of f-strings up to the last dot: ``f"sim_kinematic.{name}"``.
+
+    Left out are names of loggers and of groups of entry points, which are no modules.
+    """
+    names_of_others: set[ast.AST] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and node.args:
+            if getattr(node.func, "attr", getattr(node.func, "id", "")) in ("getLogger", "Registry"):
+                names_of_others.add(node.args[0])
+        elif isinstance(node, ast.JoinedStr) and node.values and isinstance(node.values[0], ast.Constant):
+            names_of_others.add(node.values[0])
+            text, dot, _ = str(node.values[0].value).rpartition(".")
+            if dot and DOTTED.fullmatch(text):
+                yield text
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in names_of_others:
+            text = node.value.partition(":")[0]
+            if DOTTED.fullmatch(text):
+                yield text
+
+
+def hidden_arrows(paths: dict[str, Path], graph: dict[str, list[str]]) -> dict[str, list[str]]:
+    """What each module names in strings although it is of a higher layer, or imports that module itself."""
+    found: dict[str, set[str]] = {}
+    for name, path in paths.items():
+        text = path.read_text(encoding="utf-8")
+        package = name.partition(".")[0]
+        if package not in LAYERS or not QUOTED.search(text):
+            continue
+        for target in names_in_strings(ast.parse(text)):
+            while target not in paths:
+                target = target.rpartition(".")[0]
+            above = target.partition(".")[0]
+            if above not in LAYERS:
+                continue
+            higher = LAYERS.index(above) - LAYERS.index(package)
+            if higher > 0 or (higher == 0 and name in _reachable(graph, target) and target not in (name, package)):
+                found.setdefault(name, set()).add(target)
+    return {name: sorted(targets) for name, targets in sorted(found.items())}
 
 
 def import_graph(paths: dict[str, Path]) -> dict[str, list[str]]:
@@ -96,8 +175,13 @@ def _path(graph: dict[str, list[str]], group: frozenset[str]) -> list[str]:
     raise AssertionError(f"{start} is in no circle of {sorted(group)}")
 
 
-def test_no_import_circles() -> None:
-    paths = [" -> ".join(path) for path in circles(import_graph(modules()))]
+@pytest.fixture(scope="module")
+def graph() -> dict[str, list[str]]:
+    return import_graph(modules())
+
+
+def test_no_import_circles(graph: dict[str, list[str]]) -> None:
+    paths = [" -> ".join(path) for path in circles(graph)]
     assert not paths, "Files import each other; move what they share into a file below both:\n" + "\n".join(paths)
 
 
@@ -109,6 +193,34 @@ def test_circles_are_found() -> None:
 def test_hidden_imports_count() -> None:
     source = "import a\nif TYPE_CHECKING:\n    import b\ndef f():\n    from c import d\n"
     assert sorted(imported_names(ast.parse(source))) == ["a", "b", "c.d"]
+
+
+def test_no_new_import_is_hidden_in_a_string(graph: dict[str, list[str]]) -> None:
+    found = hidden_arrows(modules(), graph)
+    new, gone = (
+        {name: sorted({*a[name]} - {*b.get(name, ())}) for name in a if {*a[name]} - {*b.get(name, ())}}
+        for a, b in ((found, AGAINST_THE_LAYERS), (AGAINST_THE_LAYERS, found))
+    )
+    assert not new, f"These modules name what lies above them; use a registry with an entry point: {new}"
+    assert not gone, f"No longer hidden, so delete them from AGAINST_THE_LAYERS: {gone}"
+
+
+def test_imports_in_strings_are_found(tmp_path: Path) -> None:
+    low, high = tmp_path / "low.py", tmp_path / "high.py"
+    high.touch()
+    paths = {"h3data": high, "h3data.low": low, "h3data.high": high, "sim_kinematic": high, "sim_kinematic.world": high}
+    graph = {"h3data.high": ["h3data.low"], **{name: [] for name in paths if name != "h3data.high"}}
+    for source, targets in (
+        ('importlib.import_module("sim_kinematic.world")', ["sim_kinematic.world"]),
+        ('HOMES = {"World": "sim_kinematic.world:World"}', ["sim_kinematic.world"]),
+        ('import_module(f"sim_kinematic.{name}")', ["sim_kinematic"]),
+        ('[sys.executable, "-m", "sim_kinematic.world"]', ["sim_kinematic.world"]),
+        ('TABLE = {"a": "h3data.high.function"}', ["h3data.high"]),
+        ('logging.getLogger("sim_kinematic.world"); Registry("sim_kinematic.world", {})', []),
+        ('f"{__name__}.high"; "of sim_kinematic.world"; "h3data.low"', []),
+    ):
+        low.write_text(source)
+        assert hidden_arrows(paths, graph).get("h3data.low", []) == targets, source
 
 
 @pytest.mark.parametrize("package", PACKAGES)
