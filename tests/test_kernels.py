@@ -1,4 +1,4 @@
-"""Compiled kernels are compiled anew when anything changes that went into them."""
+"""Compiled kernels are compiled anew when anything that went into them changes; for a new numba, see tests/test_numba.py."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import ast
 import collections
 import gc
 import importlib
-import inspect
 import lzma
 import os
 import shutil
@@ -352,59 +351,3 @@ def test_shipped_kernels_belong_to_this_code():
         importlib.import_module(stamp.rsplit("-", 1)[0].rpartition(".")[0])
     now = {shipped.code_stamp(kernel) for kernel in decorators._kernels if kernel.__module__.startswith(digests.OURS)}
     assert stamps <= now, f"run make kernels, or git rm {' '.join(f'{stamp}*' for stamp in stamps - now)}"
-
-
-# --- numba --------------------------------------------------------------------------------------------------------------
-def test_numba_still_has_what_kernels_take_from_inside_it():
-    """Nothing of this is promised. pyproject.toml bounds numba's version; a new one is allowed once this holds for it."""
-    from numba import _dynfunc  # type: ignore[attr-defined]
-    from numba.core import caching, codegen, compiler, dispatcher, typed_passes
-    from numba.core.extending import _Intrinsic
-    from numba.misc.appdirs import AppDirs
-
-    def arguments(function):
-        return [name for name in inspect.signature(function).parameters if name != "self"]
-
-    expected = {
-        codegen.JITCodeLibrary: ["_optimize_functions", "_optimize_final_module", "_finalize_final_module"],
-        codegen.CPUCodeLibrary: ["_finalize_dynamic_globals", "_ensure_finalized"],
-        typed_passes.NativeLowering: ["run_pass"],
-        compiler.Compiler: ["define_pipelines"],
-        dispatcher.Dispatcher: ["compile", "add_overload", "get_call_template"],
-        caching.IndexDataCacheFile: ["_load_index", "_data_path", "load"],
-        caching.FunctionCache: ["_index_key", "load_overload"],
-        caching._CacheLocator: ["get_suitable_cache_subpath"],
-        AppDirs: ["user_cache_dir"],
-    }
-    missing = [
-        f"{owner.__name__}.{name}" for owner, names in expected.items() for name in names if not hasattr(owner, name)
-    ]
-    assert not missing, f"numba {numba.__version__} has no {', '.join(missing)} any more"
-    signatures = {
-        "CompileResult._rebuild": (compiler.CompileResult._rebuild, ["target_context", "libdata", "fndesc", "env", "signature",
-                                   "objectmode", "lifted", "typeann", "reload_init", "referenced_envs"]),
-        "Dispatcher.compile": (dispatcher.Dispatcher.compile, ["sig"]),
-        "FunctionCache._index_key": (caching.FunctionCache._index_key, ["sig", "codegen"]),
-        "JITCodeLibrary._optimize_functions": (codegen.JITCodeLibrary._optimize_functions, ["ll_module"]),
-        "NativeLowering.run_pass": (typed_passes.NativeLowering.run_pass, ["state"]),
-    }  # fmt: skip
-    changed = {name: arguments(f) for name, (f, known) in signatures.items() if arguments(f) != known}
-    assert not changed, f"numba {numba.__version__} has changed the arguments of {changed}"
-    assert callable(_dynfunc.make_function)
-
-    @kernels.kernel()
-    def sample(x):
-        return x
-
-    assert sample(1) == 1
-    assert {"nogil", "no_cfunc_wrapper"} <= set(sample.targetoptions)
-    assert hasattr(sample._cache._cache_file, "_source_stamp")
-    assert isinstance(sample._cache_hits, dict)
-    assert hasattr(sample, "_cache_misses")
-
-    @numba.extending.intrinsic
-    def emitted(context, x):
-        return x(x), lambda context, builder, signature, arguments: arguments[0]
-
-    assert isinstance(emitted, _Intrinsic)
-    assert (emitted.__module__, emitted.__name__) == (__name__, "emitted")

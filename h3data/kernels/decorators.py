@@ -66,7 +66,7 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             dispatcher = njit(**_COMMON, **options)(function)
         cache: Any = getattr(dispatcher, "_cache", None)
         if hasattr(cache, "_cache_file"):  # absent with NUMBA_DISABLE_JIT
-            file = cache._cache_file  # numba has no public hook; tests/test_kernels.py fails if this changes
+            file = cache._cache_file  # numba has no public hook; tests/test_numba.py fails if this changes
             file._source_stamp = (file._source_stamp, source_digest(function.__module__))
         if isinstance(dispatcher, Dispatcher):
             vars(dispatcher)["compile"] = functools.partial(_compile, dispatcher)
