@@ -166,6 +166,8 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
     assert peaks[1] < 1.2 * peaks[0] < 1_000_000
 
 
+MOST_MIB = 400
+"""Memory in which half a gigabyte is imported; docs/import.md says so."""
 _IMPORT = """
 import sys
 from h3data_pipelines.cli import main
@@ -177,7 +179,7 @@ with open("/proc/self/status") as file:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".json", ".json.gz"])
-def test_half_a_gigabyte_is_imported_within_400_mib(tmp_path: Path, suffix: str) -> None:
+def test_half_a_gigabyte_is_imported_in_little_memory(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"long.gfx_replay{suffix}"
     first, *others = (json.dumps(k).encode() for k in replay(501, 22)["keyframes"])
     block = b"," + b",".join(others)
@@ -191,7 +193,7 @@ def test_half_a_gigabyte_is_imported_within_400_mib(tmp_path: Path, suffix: str)
         [sys.executable, "-c", _IMPORT, str(path), str(tmp_path / "rec")], check=True, capture_output=True, text=True
     )
     assert f"{1 + 500 * blocks} steps" in done.stdout
-    assert float(done.stdout.split("peak ")[1]) < 400
+    assert float(done.stdout.split("peak ")[1]) < MOST_MIB
 
 
 def test_packed_and_plain_are_the_same_recording(tmp_path: Path) -> None:
