@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -87,3 +89,20 @@ def test_with_a_gpu_or_with_torch_pip_decides(venv: Path, known: dict[str, str])
     said, installed = make(venv, "setup", versions=PYPI, **known)
     assert "GPU" not in said
     assert len(installed) == 1
+
+
+def test_every_package_that_make_dev_and_make_docs_install_is_pinned() -> None:
+    """Other versions of the tools would find other faults, and other versions of the rest compute other numbers."""
+
+    def plain(name: str) -> str:
+        return re.sub(r"[-_.]+", "-", name).lower()
+
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pinned = {plain(line.partition("==")[0]) for line in lines if "==" in line}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    wanted = {
+        plain(re.split(r"[^\w.-]", one)[0]) for one in (*project["dependencies"], *extras["dev"], *extras["docs"])
+    }
+    assert not wanted - pinned
+    assert not [line for line in lines if "://" in line or line.startswith("-")], "no index is named"
