@@ -17,6 +17,10 @@ PLACES = modules()
 OURS = "|".join(PACKAGES)
 NAME = re.compile(rf"(?<!`)`{{1,2}}((?:{OURS})(?:\.\w+)+)(?:\([^`]*\))?`{{1,2}}")
 """A dotted name between single or double backticks, also as a call."""
+MEMBER = re.compile(r"(?<!`)`{1,2}([A-Z]\w+)\.(\w+)(?:\([^`]*\))?`{1,2}")
+"""A member of a class, ``Recording.columns``; names of classes that are not ours are left alone."""
+OF_OTHERS = {"NavMeshSettings.readFromJSON"}
+"""Members of classes of others that have the name of one of ours."""
 IMPORT = re.compile(rf"^\s*from ((?:{OURS})\b[\w.]*) import \(?([\w, ]+)", re.MULTILINE)
 FILE = re.compile(
     r"(?<![\w/.-])((?:benchmarks|datasets|docs|examples|h3data|pipelines|sim_kinematic|tests|viewers)/[\w./-]+\.(?:py|md|toml|txt))\b"
@@ -36,6 +40,22 @@ PAGES = sorted(
 """CHANGELOG.md may tell of what is no more."""
 NOT_OBJECTS = re.compile(r"h3data\.(tasks|robots|policies|profiles|formats|apps|schema_version|moments)")
 """Groups of entry points and keys in the metadata of files."""
+
+
+@cache
+def classes() -> dict[str, list[str]]:
+    """Modules that define a class of a name."""
+    found: dict[str, list[str]] = {}
+    for module, path in PLACES.items():
+        for name in re.findall(r"^class (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE):
+            found.setdefault(name, []).append(module)
+    return found
+
+
+def missing_member(name: str, member: str) -> bool:
+    """Whether no class of this name has the member, although there is one."""
+    modules_of = classes().get(name, [])
+    return bool(modules_of) and not any(_has(module, [name, member]) for module in modules_of)
 
 
 def missing_name(name: str) -> bool:
@@ -111,10 +131,11 @@ def _names(body: list[ast.stmt]) -> dict[str, ast.AST | str]:
 def faults_of(text: str, *, imports: bool = True) -> list[str]:
     """Dotted names in backticks, imports and files of this repository that do not exist."""
     names = {name for name in NAME.findall(text) if not NOT_OBJECTS.fullmatch(name)}
+    unknown = {f"{name}.{member}" for name, member in MEMBER.findall(text) if missing_member(name, member)} - OF_OTHERS
     for module, members in IMPORT.findall(text) if imports else ():
         names |= {f"{module}.{member.split()[0]}" for member in members.split(",") if member.strip()}
     files = {file for file in FILE.findall(text) if not (ROOT / file).exists()}
-    return sorted({name for name in names if missing_name(name)} | files)
+    return sorted({name for name in names if missing_name(name)} | unknown | files)
 
 
 @pytest.mark.parametrize("kind", ["sources", "pages"])
@@ -140,6 +161,7 @@ def test_what_is_named_exists(kind: str) -> None:
         ("`h3data.recording.Recordings`", ["h3data.recording.Recordings"]),
         ("``h3data.nowhere.at_all()``", ["h3data.nowhere.at_all"]),
         ("`h3data.recording.Recording.colums`", ["h3data.recording.Recording.colums"]),
+        ("`Recording.columns`, `Nobody.knows_it`, `Recording.colums`", ["Recording.colums"]),
         ("from h3data.recording import Dataset, Datasets", ["h3data.recording.Datasets"]),
         ("see " + "tests/test_nothing.py and tests/test_files.py", ["tests/test_nothing" + ".py"]),
     ],
