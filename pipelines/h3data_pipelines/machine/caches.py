@@ -16,7 +16,7 @@ from h3data_pipelines.command import Group, JsonFlag, Outcome
 
 KINDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "kernels": ("functions compiled on this machine", (".nbi", ".nbc", ".lock")),
-    "freespace": ("where agents can stand, and ways", (".npz", ".part")),
+    "freespace": ("where agents can stand, and paths", (".npz", ".part")),
     "light": ("baked light of homes", (".npz", ".part")),
     "arrow": ("columns of datasets for training", (".arrow", ".part")),
     "gpu": ("functions compiled for a GPU", (".cubin", ".part")),
