@@ -1,4 +1,4 @@
-"""One idea: a robot policy learned from a dataset. Usage: python examples/behaviour_cloning.py DATASET [EPOCHS]
+"""One idea: train a robot policy on a dataset. Usage: python examples/behaviour_cloning.py DATASET [EPOCHS]
 
 DATASET is a folder of recordings, made by: h3data generate social_nav --episodes 50 -o DATASET
 """

@@ -1,7 +1,7 @@
-"""A person is driven through a whole rearrangement episode, one command for each step, beside a robot that helps.
+"""One idea: control a person through a whole rearrangement episode, one command per step, while a robot helps.
 
 python examples/drive_person.py out/driven.mcap
-h3data replay out/driven.mcap --verify          # simulated again from the recorded commands, bit for bit
+h3data replay out/driven.mcap --verify          # simulates it again from the recorded commands, bit for bit
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""One idea: a policy from a file of weights. A tiny network copies the expert of social navigation from a few episodes, is
-saved, and then drives the robot by name. Usage: python examples/learned_policy.py [weights.npz]"""
+"""One idea: a policy from a file of weights. A small network imitates the expert of social navigation from a few episodes.
+It is saved, and then drives the robot by its name. Usage: python examples/learned_policy.py [weights.npz]"""
 
 import sys
 

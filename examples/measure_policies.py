@@ -1,4 +1,4 @@
-"""One idea: the same episodes under two policies, and what the metrics say about them."""
+"""One idea: the same episodes under two policies, compared by their metrics."""
 
 import h3data
 from h3data.metrics import measure_many

@@ -1,4 +1,4 @@
-"""A task of one's own in one file: the robot drives to a point near a person without disturbing them.
+"""One idea: your own task in one file. The robot drives to a point near a person without disturbing them.
 
 h3data generate examples.point_goal:PointGoal --episodes 3 -o out/pg
 h3data metrics out/pg
@@ -31,12 +31,12 @@ from sim_kinematic.tasks.task import Task
 
 @dataclass(frozen=True, kw_only=True)
 class PointGoalSpec(TaskSpec):
-    """Rules, beside those of every task."""
+    """Rules in addition to those of every task."""
 
     max_steps: int = 500
     spawn_distance_m: float = 3.0
     arrive_m: float = 0.3
-    """The robot has arrived when it is this near to the goal."""
+    """Distance to the goal at which the robot has arrived."""
     personal_m: float = 1.2
     """Nearer than this disturbs a person: Hall's personal distance."""
     goal_from_person_m: tuple[float, float] = (1.5, 3.0)

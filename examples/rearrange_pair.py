@@ -1,4 +1,4 @@
-"""One idea: a robot and a person share the work, and what that saves. Usage: python examples/rearrange_pair.py"""
+"""One idea: a robot and a person share the work, and the time that this saves. Usage: python examples/rearrange_pair.py"""
 
 import h3data
 from h3data.metrics import measure

@@ -1,7 +1,7 @@
 """One idea: a robot learns to find and follow a person by reinforcement learning (PPO, Schulman et al. 2017), in minutes.
 
-A thousand worlds are stepped as tensors, on the CPU or a GPU; what was learned becomes a file of weights that plays wherever
-a policy has a name: python examples/train_social_nav.py --out follower.npz --compile, then
+A thousand worlds are stepped as tensors, on the CPU or a GPU. The result is a file of weights that every command accepts as a
+policy: python examples/train_social_nav.py --out follower.npz --compile, then
 h3data evaluate social_nav --policies weights:follower.npz -o out/follower"""
 
 import time

@@ -1,4 +1,4 @@
-"""Learning curves of runs of ``h3data train``, one line a run: docs/pictures/training.png, populations.png, skills.png.
+"""Learning curves of runs of ``h3data train``, one line per run: docs/pictures/training.png, populations.png, skills.png.
 
 python examples/training_picture.py OUT.png out/nav/0 out/nav/1 out/nav/2
 """

@@ -8,7 +8,7 @@ WORLDS = 32
 env = h3data.make("social_nav", scenes=[f"h3-homes/train#{k}" for k in range(4)], num_envs=WORLDS)
 
 
-def towards_her(observation: dict[str, np.ndarray]) -> np.ndarray:
+def towards_person(observation: dict[str, np.ndarray]) -> np.ndarray:
     """Turn to the person, drive while they are ahead and not near: a start, but it knows nothing of walls."""
     distance, to_the_right = observation["humanoid_gps"].T
     forward = np.where((distance > 1.5) & (np.abs(to_the_right) < 1.0), 1.0, 0.0)
@@ -18,7 +18,7 @@ def towards_her(observation: dict[str, np.ndarray]) -> np.ndarray:
 observation, _ = env.reset(seed=0)
 returns, found, collisions, ended = np.zeros(WORLDS), np.zeros(WORLDS, bool), 0, 0
 for _ in range(600):
-    observation, reward, terminated, truncated, info = env.step(towards_her(observation))
+    observation, reward, terminated, truncated, info = env.step(towards_person(observation))
     returns += reward  # a world whose episode has ended begins its next one by itself
     found |= info["found"]
     collisions, ended = collisions + terminated.sum(), ended + (terminated | truncated).sum()

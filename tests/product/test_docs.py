@@ -86,6 +86,15 @@ def test_commands_in_the_prose_exist(page: Path) -> None:
     assert {line: fault for line in quoted(page) if (fault := fault_of(line))} == {}
 
 
+def test_commands_in_the_tables_of_the_readme_are_complete() -> None:
+    """A reader copies them: nothing that a command requires may be missing."""
+    rows = [line for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    lines = [line for row in rows for line in SPAN.findall(row)]
+    assert len(lines) > 12
+    for line in lines:
+        parse(shlex.split(line)[1:], COMMANDS, about="")
+
+
 def test_what_does_not_exist_is_found() -> None:
     assert fault_of("h3data generate ... --episodes 5 -o DIR") == ""
     assert fault_of("h3data metrics list|explain NAME") == ""

@@ -26,7 +26,7 @@ UpChoice = Annotated[
 
 @dataclass(frozen=True)
 class RobotsShow:
-    """Draw robots, turned before the camera: at rest, and with the hand led around a circle. Without -o only list them.
+    """Render robots from several sides, at rest and with the hand moving around a circle. Without -o only list them.
 
     Examples:
         h3data robots show
@@ -77,7 +77,7 @@ class RobotsShow:
 
 @dataclass(frozen=True)
 class RobotsReach:
-    """Joint positions that bring a robot's hand, or a link, to a point in its root frame (x forward, y up, z right) [m].
+    """Find joint positions that bring a robot's hand, or a link, to a point in its root frame (x forward, y up, z right) [m].
 
     Exit code 1 if the point is out of reach; the nearest posture is then shown.
 
@@ -147,7 +147,7 @@ class RobotsInit:
 
 
 ROBOTS = Group(
-    "Robots: show the built-in ones or any URDF, ask what their hand reaches, begin a robot.toml.",
+    "Robots: show the included ones or any URDF, compute what a hand reaches, write a robot.toml.",
     {"show": RobotsShow, "reach": RobotsReach, "init": RobotsInit},
 )
 

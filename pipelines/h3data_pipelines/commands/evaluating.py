@@ -21,7 +21,7 @@ from h3data_pipelines.jobs.skill_evaluations import evaluate_skills
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Play policies in the same episodes, metrics beside the paper's.
+    """Play policies in the same episodes and compare their metrics with the paper's.
 
     S, SPS, F, CR, BYR, TD and FD of social_nav; SR, RE, CR and RC with every partner of rearrange, with 95% intervals. Each
     episode is a small file in the output folder: an interrupted evaluation goes on where it was. skill: how often each learned

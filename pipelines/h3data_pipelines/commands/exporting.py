@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Export:
-    """Write recordings as files of other programs.
+    """Export recordings to file formats of other programs.
 
     h3data docs export says what each format keeps. gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it.
     gltf: one animated .glb for three.js and Blender. foxglove: a .foxglove.mcap of standard messages for Foxglove and

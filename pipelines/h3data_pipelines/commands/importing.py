@@ -16,7 +16,7 @@ from h3data_pipelines.jobs.imports import ImportResult, import_files
 
 @dataclass(frozen=True)
 class Import:
-    """Turn recordings of other programs into MCAP recordings. Folders are searched, formats are detected by content.
+    """Convert recordings of other programs to MCAP recordings. Folders are searched, formats are detected by content.
 
     Reads gfx-replay files, the logs of Habitat's human-in-the-loop tools, and formats of plug-ins (h3data docs import).
 

@@ -27,7 +27,7 @@ EPISODE_ENDINGS = (".json.gz", ".json", ".pickle")
 
 @dataclass(frozen=True)
 class Info:
-    """Show what recordings, datasets and episode files hold.
+    """Show the contents of recordings, datasets and episode files.
 
     Of recordings and datasets: task, scene, agents, steps, columns. Of episode files: tasks, scenes, objects, receptacles,
     distances.

@@ -33,7 +33,7 @@ TASKS = "social_nav, rearrange or skill"
 
 @dataclass(frozen=True)
 class Train:
-    """Learn a policy into a file of weights: social_nav from pictures, rearrange beside a population of partners, or a skill.
+    """Train a policy and write its weights: social_nav from images, rearrange with a population of partners, or a skill.
 
     The file plays wherever a policy has a name. The folder gets policy.npz, curve.parquet (the learning curve; tensorboard/
     too, where TensorBoard is installed) and checkpoint.pt, all renewed every half minute; of rearrange also partner_0.npz, ...,

@@ -121,4 +121,4 @@ def _delete(path: Path) -> None:
         raise InputError(f"Cannot delete a cached file ({error.strerror}): {path}") from None
 
 
-CACHE = Group("List and clear what h3data keeps to be faster next time.", {"list": CacheList, "clear": CacheClear})
+CACHE = Group("List and clear the caches of h3data.", {"list": CacheList, "clear": CacheClear})

@@ -19,7 +19,7 @@ _CORES = (1, 2, 10, 100, 1_000, 10_000)
 
 @dataclass(frozen=True)
 class Plan:
-    """Reckon a job of h3data generate on many cores: time, CPU hours, price, size, and what holds it up.
+    """Forecast a job of h3data generate on many cores: time, CPU hours, price, size, and the bottleneck.
 
     The costs of an episode are measured on this machine in half a minute, as CPU time, or come from a file of an earlier
     measurement; the schedule is played out shard by shard. The results are forecasts: only the costs are measured.

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReportCommand:
-    """Write a self-contained HTML report: tables beside the paper's, charts, key frames.
+    """Write a self-contained HTML report: tables next to the paper's, charts, key frames.
 
     It shows distributions, trajectories, paired differences, and the best and worst episodes.
     Each input is a dataset, a folder of .mcap files or a single .mcap file. Episodes are grouped by policy; runs over the

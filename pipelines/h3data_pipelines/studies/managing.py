@@ -100,7 +100,7 @@ def _status_text(data: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class StudyForget:
-    """Delete everything of a participant: recordings, answers, seat; and say what has been deleted.
+    """Delete all data of a participant (recordings, answers, seat) and list what was deleted.
 
     What h3data study report and h3data study pay have made is deleted as well, because it is made of everybody's data: make it
     again. Copies

@@ -132,7 +132,7 @@ class StudyReport:
 
 @dataclass(frozen=True)
 class StudyCompare:
-    """Put the order of partners by people beside that by automatic evaluation.
+    """Compare the ranking of partners by people with that by automatic evaluation.
 
     For the claim that ends the paper: do both put the robots in the same order? Conditions are matched with the robots of
     h3data evaluate by the name of their policy; files of weights by their digest, whatever they are called.

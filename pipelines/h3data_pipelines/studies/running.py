@@ -62,7 +62,7 @@ class StudyNew:
 
 @dataclass(frozen=True)
 class StudyRun:
-    """Serve a study to its participants until Ctrl-C; the same command goes on where it was.
+    """Serve a study to its participants until Ctrl-C; run the same command again to continue.
 
     Everything is kept in the folder NAME-VERSION beside the study file: recordings, answers, how far everybody is. The secret
     that makes pseudonyms of participants lies beside that folder (NAME-VERSION.key). Needs the extra hitl.
