@@ -129,6 +129,7 @@ def report(
     assets: Sequence[AnyPath] = (),
     people: PeopleStyle = "skin",
     light: LightMode = "baked",
+    stand_ins: bool = False,
     replays: bool = False,
     zsc: Sequence[str] = (),
     study_model: Literal["auto", "poisson", "observation"] = "auto",
@@ -185,6 +186,7 @@ def export(
     light: bool = False,
     camera: Sequence[str] = (),
     people: PeopleStyle = "skin",
+    stand_ins: bool = False,
     backend: Literal["auto", "cpu", "gpu"] = "cpu",
     force: bool = False,
 ) -> Path:
@@ -211,6 +213,7 @@ def rerender(
     backend: Literal["auto", "cpu", "gpu"] = "cpu",
     outputs: str = "rgb",
     assets: Sequence[AnyPath] = (),
+    stand_ins: bool = False,
     steps: str = "",
     format: Literal["mp4", "av1", "png", "data"] = "mp4",
     size: str = "",
@@ -241,6 +244,7 @@ def view(
     people: PeopleStyle = "skin",
     light: LightMode = "baked",
     assets: Sequence[AnyPath] = (),
+    stand_ins: bool = False,
     open: bool = False,
     force: bool = False,
 ) -> Path:

@@ -18,6 +18,7 @@ from h3data_pipelines.command import (
     LightOption,
     Outcome,
     PeopleOption,
+    StandInsFlag,
     claim_file,
     write_text,
 )
@@ -67,6 +68,7 @@ class ReportCommand:
     light: LightOption = "baked"
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
+    stand_ins: StandInsFlag = False
     zsc: tuple[str, ...] = ()
     """A partner of the zero-shot population, whose mean the heat maps show (repeatable; default: as the recordings say)."""
     study_model: StepsModelOption = "auto"
@@ -102,7 +104,7 @@ class ReportCommand:
         with opened(self.executor, self.workers) as executor:
             report = write_report(
                 self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets, people=self.people,
-                light=self.light,
+                light=self.light, stand_ins=self.stand_ins,
                 study=StudyModel(steps=self.study_model, failed=self.failed),
                 zsc=[name for entry in self.zsc for name in entry.split(",") if name], replays=self.replays,
                 spread=partial(executor.run, lost=lost_part),
