@@ -132,6 +132,7 @@ def report(
     stand_ins: bool = False,
     replays: bool = False,
     zsc: Sequence[str] = (),
+    seeds: Sequence[str] = (),
     study_model: Literal["auto", "poisson", "observation"] = "auto",
     failed: Literal["leave-out", "limit"] = "leave-out",
     workers: int = 1,

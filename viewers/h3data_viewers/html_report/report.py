@@ -95,6 +95,7 @@ def make_report(
     stand_ins: bool = False,
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
+    seeds: Sequence[str] = (),
     more: Sequence[Table] = (),
     folder: Path | None = None,
     replays: ReplayFiles | None = None,
@@ -105,7 +106,8 @@ def make_report(
 
     ``assets`` are folders of the files that foreign recordings name; ``people``, ``light`` and ``stand_ins`` are
     those of the key frames, as in `h3data.replay.Replay`; ``study`` chooses the models of
-    episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population; ``more`` are
+    episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population,
+    ``seeds`` has patterns of policies that differ by their training seed alone and are one row (`gather`); ``more`` are
     tables of what is not in recordings, each in a section of its own; ``folder`` is that of all
     paths, from which the page names them; ``replays`` takes HTML replays of the episodes with key
     frames, which link them; ``spread`` may have other processes or machines read and measure the recordings; ``command`` is
@@ -117,14 +119,15 @@ def make_report(
     """
     from h3data.replay import Replay
 
-    data = gather(paths, zsc=zsc, spread=spread)
+    data = gather(paths, zsc=zsc, seeds=seeds, spread=spread)
     title = title or _title(data)
     missing: list[str] = []
     charts: dict[str, list[str]] = {}
     tables = _paper_tables(data, missing, study or StudyModel(), charts)
     pairs = paired_tables(data)
     if len(data.runs) > 1 and not pairs:
-        missing.append("Paired differences: no two runs hold the same episodes (ids, scenes and seeds).")
+        several = ", and runs of several training seeds are not paired" if any(run.seeds for run in data.runs) else ""
+        missing.append(f"Paired differences: no two runs hold the same episodes (ids, scenes and seeds){several}.")
     body, plans, heat = [], Plans(), []
     posed: Posing = partial(Replay, assets=[Path(each) for each in assets], people=people, stand_ins=stand_ins)
     for task in data.tasks:
@@ -175,6 +178,7 @@ def write_report(
     stand_ins: bool = False,
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
+    seeds: Sequence[str] = (),
     more: Sequence[Table] = (),
     folder: Path | None = None,
     replays: bool = False,
@@ -193,6 +197,7 @@ def write_report(
         stand_ins=stand_ins,
         study=study,
         zsc=zsc,
+        seeds=seeds,
         more=more,
         folder=folder,
         replays=files,
