@@ -140,16 +140,18 @@ def render_frame(
     assets: Sequence[str | Path] = (),
     people: PeopleStyle = "skin",
     light: LightMode = "baked",
+    stand_ins: bool = False,
 ) -> dict[str, NDArray[Any]]:
     """One picture: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W], ...
 
-    For many pictures make a `Replay` once and pass it, or use its `Replay.frames`; it has ``assets``, ``people`` and
-    ``light`` of its own.
+    For many pictures make a `Replay` once and pass it, or use its `Replay.frames`; it has ``assets``, ``people``,
+    ``light`` and ``stand_ins`` of its own.
     """
     if isinstance(recording, Replay):
         replay = recording
     else:
-        replay = Replay(recording, assets=assets, people=people, light=light if "rgb" in outputs else "flat")
+        shown_in: LightMode = light if "rgb" in outputs else "flat"
+        replay = Replay(recording, assets=assets, people=people, light=shown_in, stand_ins=stand_ins)
     row = replay.row(step)
     seen_from = camera_at(replay, camera, row)
     track = CameraTrack(camera=seen_from, poses=seen_from.pose[None])

@@ -38,6 +38,7 @@ def render_videos(
     threads: int = 1,
     assets: Sequence[Path] = (),
     people: PeopleStyle = "skin",
+    stand_ins: bool = False,
     light: LightMode = "baked",
     backend: FrameBackend = "cpu",
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda frames, total: frames,
@@ -54,6 +55,7 @@ def render_videos(
         threads: Threads that render.
         assets: Folders below which recorded asset files are searched.
         people: How people are shown.
+        stand_ins: Whether plain things stand in for missing assets, as in `Replay`.
         light: ``flat`` or ``baked`` (`h3data.render.light`).
         backend: Who draws (`h3data.replay.stage.chosen_backend`).
         progress: Wraps the iterable of frames.
@@ -64,7 +66,7 @@ def render_videos(
     count = len(recording) if steps is None else steps
     if not count:
         return []
-    replay = Replay(recording, assets=assets, people=people, light=light)
+    replay = Replay(recording, assets=assets, people=people, light=light, stand_ins=stand_ins)
     tracks, fps = camera_tracks(replay, cameras), round(1e9 / max(recording.episode.dt_ns, 1))
     with ExitStack() as stack:
         writers = [

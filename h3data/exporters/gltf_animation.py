@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.exporters.gltf_skin import Node, add_joints, local_poses, skin_record, trs
 from h3data.exporters.posed_parts import PosedCamera, PosedPart
-from h3data.exporters.posing import missing_note, posed_cameras, posed_parts
+from h3data.exporters.posing import drawn_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, quat_sign_continuous
@@ -82,9 +82,15 @@ def write_gltf_animation(
 def export_gltf(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
     """Exports one recording for ``h3data export --to gltf``."""
     (recording,) = recordings
-    replay = Replay(recording, assets=request.assets, people=request.people, detail=request.person_detail == "full")
+    replay = Replay(
+        recording,
+        assets=request.assets,
+        people=request.people,
+        detail=request.person_detail == "full",
+        stand_ins=request.stand_ins,
+    )
     cameras, missing = posed_cameras(replay), sorted(replay.missing)
-    file = write_gltf_animation(recording, posed_parts(replay), request.out, cameras=cameras)
+    file = write_gltf_animation(replay.recording, posed_parts(replay), request.out, cameras=cameras)
     size = file.path.stat().st_size
     text = (
         f"{file.path}: {file.seconds:.1f} s, {file.nodes} nodes, {file.meshes} meshes, {file.joints} joints, "
@@ -100,7 +106,7 @@ def export_gltf(recordings: Iterable[Recording], request: ExportRequest) -> Expo
         "bytes": size,
         "missing": missing,
     }
-    return Exported(text=text + missing_note(missing, "are marked placeholders"), data=data)
+    return Exported(text=text + drawn_note(missing, stand_ins=request.stand_ins), data=data)
 
 
 @dataclass

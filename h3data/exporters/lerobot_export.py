@@ -92,6 +92,7 @@ def _rendered(
         steps=frames,
         threads=request.threads,
         assets=request.assets,
+        stand_ins=request.stand_ins,
         light=recording.episode.info.get("light", "flat" if request.stored_cameras else "baked"),
         backend=request.backend,
         progress=lambda items, total: request.progress(items, total, "frame"),

@@ -85,6 +85,14 @@ def posed_cameras(replay: Replay) -> list[PosedCamera]:
     return cameras
 
 
+def drawn_note(missing: Sequence[str], *, stand_ins: bool) -> str:
+    """`missing_note` of an export that draws things in their place."""
+    if stand_ins:
+        return missing_note(missing, "have built-in bodies and named boxes in their place")
+    note = missing_note(missing, "are marked placeholders")
+    return note and f"{note}, or --stand-ins for plain bodies and named boxes"
+
+
 def missing_note(missing: Sequence[str], consequence: str) -> str:
     """A line for people about asset files that were not found; empty if all were."""
     return f"\n{len(missing)} asset files were not found and {consequence}. Hint: --assets DIR" if missing else ""

@@ -43,7 +43,7 @@ class Format:
     write: Function = None
     """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
     `ExportRequest`; returns an `Exported`."""
-    write_options: tuple[Literal["agent", "assets", "person_detail", "people", "camera"], ...] = ()
+    write_options: tuple[Literal["agent", "assets", "person_detail", "people", "stand_ins", "camera"], ...] = ()
     """Options of `h3data export` that apply; the others are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
     """What is written. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""
@@ -72,6 +72,8 @@ class ExportRequest:
     """Meshes of people: ``full``, or ``low`` for those with fewer vertices."""
     people: Any = "skin"
     """How people are shown, a `h3data.bodies.people.rigid_parts.PeopleStyle`."""
+    stand_ins: bool = False
+    """Whether plain things stand in for missing assets, as in `h3data.replay.PosedRecording`."""
     cameras: Sequence[str] = ()
     """Cameras to render, by name or file."""
     stored_cameras: Sequence[str] = ()

@@ -18,7 +18,9 @@ from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
 from h3data.bodies.robots.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
+from h3data.habitat.asset_folders import clean_path
 from h3data.habitat.asset_library import AssetLibrary
+from h3data.habitat.stand_ins import named_box, with_stand_ins
 from h3data.plugins import names_from_data
 from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.recording.records import JOINTS
@@ -54,6 +56,8 @@ class PosedRecording:
             who were recorded by clips walk with planted feet. Affects appearance only.
         light: Light in images: ``flat``, the same everywhere, or ``baked``, from windows, sun and lamps
             (`h3data.render.light`).
+        stand_ins: Whether plain things stand in for missing assets instead of marked ones: built-in robots and people in the
+            recorded postures, and boxes with names (`h3data.habitat.stand_ins`). `recording` then names these bodies.
     """
 
     def __init__(
@@ -65,8 +69,8 @@ class PosedRecording:
         people: PeopleStyle = "skin",
         stepping: bool = True,
         light: LightMode = "flat",
+        stand_ins: bool = False,
     ) -> None:
-        self.recording = recording
         if people not in get_args(PeopleStyle):
             raise InputError(
                 f"Unknown style of people {people!r}. Expected one of: {', '.join(get_args(PeopleStyle))}."
@@ -83,10 +87,13 @@ class PosedRecording:
         if "scene.glb" in recording.attachments:
             self.scene = self._read_scene(bytes(recording.attachments["scene.glb"]))
             self.library = self.library.with_scene(self.scene)
+        self.stand_ins = stand_ins
+        recording, missing = with_stand_ins(recording, self.library) if stand_ins else (recording, {})
+        self.recording = recording
         self._tracks: list[Track | None] = []
         self._drawables: list[Drawable] = []
         self._assets: dict[str, Mesh | None] = {}
-        self.missing: dict[str, int] = {}
+        self.missing: dict[str, int] = missing
         """Number of bodies that refer to each asset file that was not found."""
         self._joints = _recorded_joints(recording, self.scene)
         refs = {ref.name: ref for ref in recording.assets}
@@ -128,7 +135,7 @@ class PosedRecording:
         joint = -1 if self._joints is None or body.moving >= 0 else self._joints.owner.get(body.name, -1)
         track: Track | None = JointTrack(joint) if joint >= 0 else None
         if mesh is None:
-            mesh = self.library.placeholder(ref, body)
+            mesh = named_box(clean_path(ref.uri)) if self.stand_ins else self.library.placeholder(ref, body)
             self.missing[ref.uri] = self.missing.get(ref.uri, 0) + 1
         self._add(
             Drawable(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
+from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.render.camera import Camera
 from h3data.render.overlay import draw_circle, draw_polyline
@@ -94,7 +95,7 @@ def episode_strip(replay: Replay) -> NDArray[np.uint8]:
     plan, camera = _plan(replay)
     paths = [_positions(replay.recording, k) for k in range(len(replay.recording.agents))]
     panels = []
-    for moment in moments:
+    for moment in progress(moments, desc="draw", unit="moment", leave=False):
         drawn = plan.copy()
         for k, path in enumerate(paths):
             draw_polyline(drawn, camera, path[: moment.step + 1], COLORS[k % len(COLORS)], 2)

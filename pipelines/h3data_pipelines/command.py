@@ -33,6 +33,13 @@ DryRunFlag = Annotated[bool, tyro.conf.arg(help="Print what would be done, and d
 PeopleOption = Annotated[
     PeopleStyle, tyro.conf.arg(help="How people are shown: as skin, as collision capsules, or as bones.")
 ]
+StandInsFlag = Annotated[
+    bool,
+    tyro.conf.arg(
+        help="Draw built-in robots and people in the recorded postures, and boxes with names, for assets that are not found, "
+        "instead of striped shapes."
+    ),
+]
 LightOption = Annotated[
     LightMode,
     tyro.conf.arg(help="Light in pictures: baked, from windows, sun and lamps; or flat, the same everywhere."),

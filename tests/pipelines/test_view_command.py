@@ -211,3 +211,13 @@ def test_long_recordings_are_exported_in_blocks(tmp_path: Path) -> None:
 
     peak(10)  # what is loaded at first use
     assert (peak(many) - peak(few)) / (many - few) < 300
+
+
+def test_progress_is_shown_while_files_are_written(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("h3data.progress.LINE_EVERY_S", 0.0)
+    for ending, said in ((".rrd", ("write poses: 1 of 1 blocks", "write skins: ")), (".html", ("write tracks: ",))):
+        assert main(["view", str(folder / "long.mcap"), "-o", str(tmp_path / f"v{ending}")]) == 0
+        shown = capsys.readouterr().err
+        assert all(text in shown for text in said)

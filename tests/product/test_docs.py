@@ -264,7 +264,7 @@ def test_sources_name_pages_as_the_command_shows_them() -> None:
 
 
 def test_the_list_of_missing_assets_names_the_page_that_says_how_to_get_them() -> None:
-    replay: Any = SimpleNamespace(missing={"data/objects/ycb/mug.glb": 2})
+    replay: Any = SimpleNamespace(missing={"data/objects/ycb/mug.glb": 2}, stand_ins=False)
     text = "\n".join(missing_lines(replay))
     (page,) = re.findall(r"h3data docs ([\w-]+)", text)
     assert "## Getting the assets" in (DOCS / f"{page}.md").read_text(encoding="utf-8")

@@ -39,6 +39,15 @@ def lines(count: int, *, gap_m: float) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([along, np.zeros(count)]), np.column_stack([-along, np.full(count, gap_m)])
 
 
+def test_a_strip_shows_how_far_it_is(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("h3data.progress.LINE_EVERY_S", 0.0)
+    monkeypatch.setattr(strip, "_view", lambda *_: np.zeros((4, strip.WIDTH_PX, 3), np.uint8))
+    episode_strip(Replay(recording))
+    assert f"draw: 1 of {len(moments_of(recording))} moments" in capsys.readouterr().err
+
+
 def test_they_cross_where_they_pass(recording: Recording) -> None:
     robot, person = lines(len(recording), gap_m=1.4)
     crossing = crossing_of(walked(recording, robot, person))

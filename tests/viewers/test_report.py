@@ -38,6 +38,7 @@ from h3data_viewers.html_report.report_tables import (
     Row,
     Section,
     Table,
+    cut,
     number,
     to_html,
     to_latex,
@@ -327,6 +328,58 @@ def test_each_partner_that_shares_a_recording_belongs_to_its_own_population(tmp_
     told, re = groups()
     assert told["zsc"] == ["both"]
     assert re == 100.0
+
+
+def test_policies_of_several_training_seeds_are_one_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Mean and standard deviation of the means of each, as in the table of ``h3data evaluate``."""
+    names = [f"weights:out/s{k}/policy.npz@{k:012x}" for k in range(3)]
+    solved = {names[0]: (True, True), names[1]: (True, False), names[2]: (True, True, True, True)}
+    write(
+        tmp_path / "e" / "recordings" / "000000",
+        [
+            *(tidy(60, solved=done, policy=name, partner="a") for name, each in solved.items() for done in each),
+            tidy(60, policy="expert", partner="b"),
+        ],
+    )
+
+    def rows() -> dict[str, str]:
+        report = make_report([tmp_path / "e"], pictures=0)
+        table = next(t for t in report.tables if t.key == "rearrange")
+        return {row.name: row.cells[0].text for row in table.sections[0].rows}
+
+    assert len(rows()) == 4
+    pattern = "weights:out/s*/policy.npz"
+    report = make_report([tmp_path / "e"], pictures=0, seeds=[pattern])
+    table = next(t for t in report.tables if t.key == "rearrange")
+    pooled, expert = table.sections[0].rows
+    assert pooled.name == pattern
+    assert pooled.small == "8 episodes of 3 seeds, 1 partner"
+    assert pooled.cells[0].text == "83.3 ± 28.9"  # of 100, 50 and 100, not of eight episodes
+    assert "±" not in expert.cells[0].text
+    assert "standard deviation" in table.caption
+    heat = next(t for t in report.tables_of_partners if t.title.startswith("SR"))
+    assert [cell.small for cell in heat.sections[0].rows[0].cells] == ["± 0.29, n = 8", ""]
+    assert names[1] in report.html  # each episode says of which seed it is
+    # an evaluation that was told a pattern needs no option
+    told = [{"metric": "SR", "policies": pattern, "partner": "a", "seeds": [{"policy": name} for name in names]}]
+    (tmp_path / "e" / "table.json").write_text(json.dumps({"job": {"task": "rearrange"}, "seeds": told}))
+    assert rows()[pattern] == "83.3 ± 28.9"
+    assert main(["report", str(tmp_path / "e"), "--pictures", "0", "-o", str(tmp_path / "r.html"), "--json"]) == 0
+    run = json.loads(capsys.readouterr().out)["runs"][0]
+    assert run["seeds"]["policies"] == names
+    assert run["seeds"]["metrics"]["SR"]["deviation"] == pytest.approx(0.2887, abs=1e-4)
+    with pytest.raises(
+        InputError, match="Expected several policies that fit 'weights:other/\\*', got 0; there are: expert"
+    ):
+        make_report([tmp_path / "e"], pictures=0, seeds=["weights:other/*"])
+
+
+def test_long_names_are_cut_in_the_middle_and_whole_in_their_title(tmp_path: Path) -> None:
+    home = "home_small_20200_area_m2_100.5_bedrooms_2_clutter_1.5"
+    html = make_report([write(tmp_path / "ds", [tidy(30, home=home, policy="p")])], pictures=0).html
+    assert f'<span title="{home}">home_small_20200_…ms_2_clutter_1.5</span>' in html
+    assert cut("Mean over episodes", 12) == "Mean over e…"
+    assert cut("weights:out/s10/policy.npz", 16) == "weights:…icy.npz"
 
 
 def test_some_partners_of_the_zero_shot_population_are_none(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.exporters.posed_parts import PosedPart
-from h3data.exporters.posing import missing_note, posed_parts
+from h3data.exporters.posing import drawn_note, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, pose_from_matrix
@@ -98,7 +98,8 @@ def write_foxglove(
 def export_foxglove(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
     """Exports one recording for ``h3data export --to foxglove``, with a video of each requested camera."""
     (recording,) = recordings
-    replay = Replay(recording, assets=request.assets, people=request.people, detail=False)
+    replay = Replay(recording, assets=request.assets, people=request.people, detail=False, stand_ins=request.stand_ins)
+    recording = replay.recording
     tracks = [camera_track(replay, name) for name in request.cameras]
     frames = replay.frames(
         tracks, range(len(recording) if tracks else 0), threads=request.threads, backend=request.backend
@@ -122,7 +123,7 @@ def export_foxglove(recordings: Iterable[Recording], request: ExportRequest) -> 
         "bytes": size,
         "missing": missing,
     }
-    return Exported(text=text + missing_note(missing, "are marked placeholders"), data=data)
+    return Exported(text=text + drawn_note(missing, stand_ins=request.stand_ins), data=data)
 
 
 class _Export:

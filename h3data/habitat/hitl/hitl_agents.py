@@ -146,7 +146,7 @@ def _posed_person(
     if order == "habitat":
         joints = joints[:, [HABITAT_JOINTS.index(joint) for joint in JOINT_NAMES[1:]]]
     joints = quat_sign_continuous(joints)
-    body = _fitting_body(track.roots, joints, track.base[:, 1])
+    body = fitting_body(track.roots, joints, track.base[:, 1])
     columns: dict[str, NDArray[Any]] = {
         "base_pose": _continuous(track.base), "root_pose": _continuous(track.roots),
         "joint_quat": joints.astype(np.float32),
@@ -155,7 +155,7 @@ def _posed_person(
     return Agent(name=name, kind="human", model=f"humanoid/{body}", semantic_id=100), columns, note
 
 
-def _fitting_body(roots: Array, joints: Array, floor: Array) -> str:
+def fitting_body(roots: Array, joints: Array, floor: Array) -> str:
     """The built-in body whose lower foot is nearest, in the median, to its height when standing."""
     rows = np.flatnonzero(np.isfinite(roots).all(1) & np.isfinite(joints).all((1, 2)) & np.isfinite(floor))
     rows = rows[:: max(1, len(rows) // 32)]
@@ -177,7 +177,7 @@ def _walking_person(
     name: str, track: AgentTrack, time_ns: NDArray[np.int64], robot_floor: Array | None
 ) -> tuple[Agent, dict[str, NDArray[Any]], dict[str, Any]]:
     body = load_humanoid(SYNTHETIC_BODY)
-    base = _on_floor(track.roots, forward=2, floor=_floor_below(track.roots[:, 1], robot_floor))
+    base = _on_floor(track.roots, forward=2, floor=floor_below(track.roots[:, 1], robot_floor))
     columns: dict[str, NDArray[Any]] = {"base_pose": base, "root_pose": _continuous(track.roots)}
     columns |= walk_columns(body, base.astype(np.float64), time_ns)
     agent = Agent(
@@ -186,7 +186,7 @@ def _walking_person(
     return agent, columns, {"recorded": ["root"], "synthesised": ["body", "floor", "joints"]}
 
 
-def _floor_below(height: Array, robot_floor: Array | None, window: int = 31) -> Array:
+def floor_below(height: Array, robot_floor: Array | None, window: int = 31) -> Array:
     """Height of the floor [T] under roots at heights [T] [m]: the bobbing of the walk is filtered out, and on the
     robot's storey it is the robot's floor.
     """

@@ -169,6 +169,7 @@ class ScenesExport:
         h3data scenes export small:0 small:1 medium:0 -o exports/homes
         h3data scenes export small:3 --split-building -o exports/semantic
         h3data scenes export small:3 --to glb -o exports/
+        h3data scenes export small:3 --to glb --objects ycb/ -o exports/
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
@@ -183,6 +184,8 @@ class ScenesExport:
     semantic sensor tells them apart. The stage then only collides."""
     episodes: int | None = None
     """Number of episodes of a set to export for habitat (default: all; 0: none)."""
+    objects: Path | None = None
+    """Folder of objects (of the YCB set, or Habitat's object configs) that take the place of movable things where they fit."""
     assets: AssetsOption = ()
     strict: StrictFlag = False
     allow_missing: MissingFlag = False
@@ -200,6 +203,9 @@ class ScenesExport:
         for text in self.scenes:
             _refuse_preset(text)
         scenes = [_renamed(named) for named in _all_named(self.scenes, 1, self.assets, self.strict, self.allow_missing)]
+        objects: dict[str, Any] = {}
+        if self.objects is not None:
+            scenes, objects = self._with_objects(scenes)
         if self.to == "habitat":
             files, first = self._to_habitat(scenes, sets)
         else:
@@ -207,7 +213,14 @@ class ScenesExport:
         size = sum(f.stat().st_size for f in files)
         names = ", ".join(s.name for s in scenes[:6]) + (f", ... ({len(scenes)})" if len(scenes) > 6 else "")
         episodes = [str(f) for f in files if f.parent.name == "episodes"]
-        text = "\n".join([f"wrote {names} as {self.to}: {len(files)} files, {size / 1e6:.1f} MB", first, *episodes])
+        said = (
+            [f"{objects['replaced']} of {objects['movable']} movable things are objects of {self.objects}"]
+            if objects
+            else []
+        )
+        text = "\n".join(
+            [f"wrote {names} as {self.to}: {len(files)} files, {size / 1e6:.1f} MB", *said, first, *episodes]
+        )
         data = {
             "format": self.to,
             "scenes": [s.name for s in scenes],
@@ -215,8 +228,27 @@ class ScenesExport:
             "episodes": episodes,
             "files": len(files),
             "bytes": size,
+            **({"objects": objects} if objects else {}),
         }
         return Outcome(text=text, data=data)
+
+    def _with_objects(self, scenes: Sequence[Scene]) -> tuple[list[Scene], dict[str, Any]]:
+        """The scenes with the objects in them; how many things they are, and their masses and grasps by name."""
+        from h3data.habitat.object_models import load_object_models, with_object_models
+
+        assert self.objects is not None
+        models = load_object_models(self.objects, assets=self.assets)
+        changed = [with_object_models(scene, models) for scene in scenes]
+        movable = sum(i.motion == "kinematic" for scene in scenes for i in scene.instances)
+        replaced = sum(count for _, count in changed)
+        if not replaced:
+            raise InputError(
+                f"No object of {self.objects} fits in the place of a movable thing of these scenes. Expected objects that are "
+                f"at most 8 cm larger than a thing; {len(models)} objects were read, and there are {movable} things."
+            )
+        return [scene for scene, _ in changed], {
+            "replaced": replaced, "movable": movable, "models": {name: model.facts() for name, model in models.items()},
+        }  # fmt: skip
 
     def _to_habitat(self, scenes: Sequence[Scene], sets: Sequence[SceneSet]) -> tuple[list[Path], str]:
         from h3data.exporters.habitat.scenes import export_habitat_dataset

@@ -25,6 +25,7 @@ from h3data_pipelines.command import (
     NameOf,
     Outcome,
     PeopleOption,
+    StandInsFlag,
     check_backend,
     claim_file,
     claim_folder,
@@ -73,6 +74,7 @@ class Export:
     light: bool = False
     """Deprecated: use --person-detail low."""
     people: PeopleOption = "skin"
+    stand_ins: StandInsFlag = False
     camera: tuple[str, ...] = ()
     """Camera to add as a video, for foxglove and lerobot: a name as in rerender, or a .toml or .json file; repeatable.
     lerobot copies the videos that a dataset has, and renders others (default: all that the dataset has)."""
@@ -88,9 +90,9 @@ class Export:
         if self.backend != "cpu" and "camera" not in form.write_options:
             raise InputError(f"--backend is not for {form.option}, but for {_formats_with('camera')}. Leave it out.")
         check_backend(self.backend)
-        given = {option: getattr(self, option) for option in ("agent", "assets", "people", "camera")}
+        given = {option: getattr(self, option) for option in ("agent", "assets", "people", "stand_ins", "camera")}
         for option, value in {**given, "person_detail": detail}.items():
-            if value not in (None, (), "skin", "full") and option not in form.write_options:
+            if value not in (None, (), "skin", "full", False) and option not in form.write_options:
                 raise InputError(
                     f"--{option.replace('_', '-')} is not for {form.option}, but for {_formats_with(option)}. Leave it out."
                 )
@@ -110,6 +112,7 @@ class Export:
             assets=self.assets,
             person_detail=detail,
             people=self.people,
+            stand_ins=self.stand_ins,
             cameras=self.camera,
             stored_cameras=common_cameras(sources) if "camera" in form.write_options else (),
             stored_videos=lambda number: sources[number].read_videos(),

@@ -42,6 +42,7 @@ class CameraLog:
         camera = _intrinsics(track)
         things = [own_version(), self._recording, str(self._steps), target.output, target.form, json.dumps(camera)]
         things += [] if self._replay.people == "skin" else [self._replay.people]
+        things += ["stand-ins"] if self._replay.stand_ins else []
         things += [self._replay.light] if target.output == "rgb" and self._replay.light != "flat" else []
         things += [f"{self._samples} samples"] if target.output == "rgb" and self._samples > 1 else []
         things += [] if self._backend == "cpu" else [self._backend]

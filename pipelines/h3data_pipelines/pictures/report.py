@@ -11,22 +11,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.errors import InputError
-from h3data.terminal import counted
 from h3data_pipelines.command import (
     ForceFlag,
     JsonFlag,
     LightOption,
     Outcome,
     PeopleOption,
+    StandInsFlag,
     claim_file,
     write_text,
 )
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.hub.provenance import command_line
+from h3data_pipelines.jobs.table_cells import or_none
 from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 
 if TYPE_CHECKING:
     from h3data_viewers.html_report.report import Report
+    from h3data_viewers.html_report.report_data import Run
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,12 @@ class ReportCommand:
     light: LightOption = "baked"
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
+    stand_ins: StandInsFlag = False
     zsc: tuple[str, ...] = ()
     """A partner of the zero-shot population, whose mean the heat maps show (repeatable; default: as the recordings say)."""
+    seeds: tuple[str, ...] = ()
+    """Policies that differ by their training seed alone, as a pattern in quotes such as "weights:out/s*/policy.npz": they are
+    one row, the mean over seeds and its standard deviation (repeatable; default: as the evaluation was told)."""
     study_model: StepsModelOption = "auto"
     failed: FailedOption = "leave-out"
     workers: int = 1
@@ -102,9 +108,9 @@ class ReportCommand:
         with opened(self.executor, self.workers) as executor:
             report = write_report(
                 self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets, people=self.people,
-                light=self.light,
+                light=self.light, stand_ins=self.stand_ins,
                 study=StudyModel(steps=self.study_model, failed=self.failed),
-                zsc=[name for entry in self.zsc for name in entry.split(",") if name], replays=self.replays,
+                zsc=[name for entry in self.zsc for name in entry.split(",") if name], seeds=self.seeds, replays=self.replays,
                 spread=partial(executor.run, lost=lost_part),
                 command=f"{command_line('report', self)} -o {shlex.quote(self.out.name)}",
             )  # fmt: skip
@@ -126,6 +132,7 @@ class ReportCommand:
                 {"name": run.name, "policy": run.policy, "task": run.task}
                 | {key: run.table.to_dict()[key] for key in ("metrics", "summary")}
                 | {"episodes": len(run.episodes)}
+                | ({"seeds": _over_seeds(run)} if run.seeds else {})
                 for run in report.data.runs
             ],
             "tables": [table.key for table in report.tables],
@@ -135,8 +142,19 @@ class ReportCommand:
         }
 
 
+def _over_seeds(run: Run) -> dict[str, Any]:
+    """Mean and standard deviation over the seeds of a run, by metric; NaN becomes None."""
+    known = {name: (found.mean, found.deviation) for name, found in run.means().items()}
+    return {
+        "policies": list(run.seeds),
+        "metrics": {
+            name: {"mean": or_none(mean), "deviation": or_none(deviation)} for name, (mean, deviation) in known.items()
+        },
+    }
+
+
 def _text(report: Report, written: list[Path]) -> str:
-    runs = [f"  {run.name}: {counted(len(run.episodes), 'episode')} of {run.task}" for run in report.data.runs]
+    runs = [f"  {run.name}: {run.size}, {run.task}" for run in report.data.runs]
     failed = [f"not measured: {len(names)}, {reason}" for reason, names in report.data.unmeasured.items()]
     size = written[0].stat().st_size / 1e6
     return "\n".join([f"{written[0]} ({size:.1f} MB)", *map(str, written[1:]), *runs, *failed])

@@ -30,6 +30,7 @@ from h3data_pipelines.command import (
     LightOption,
     Outcome,
     PeopleOption,
+    StandInsFlag,
     check_backend,
     keeping,
     open_episode,
@@ -84,6 +85,7 @@ class Rerender:
     """Comma-separated list of rgb, depth, instance, semantic."""
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
+    stand_ins: StandInsFlag = False
     steps: str = ""
     """Range of steps as start:stop:stride (default: all)."""
     format: Format = "mp4"
@@ -154,7 +156,9 @@ class Rerender:
     ) -> tuple[list[str], dict[str, Any]]:
         """Renders one recording; returns a summary as lines of text and as JSON data."""
         light = self.light if "rgb" in outputs else "flat"  # nothing else shows it
-        replay = Replay(open_episode(path), assets=self.assets, people=self.people, light=light)
+        replay = Replay(
+            open_episode(path), assets=self.assets, people=self.people, light=light, stand_ins=self.stand_ins
+        )
         tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
         if size := parse_size(self.size):
             tracks = [track.resized(*size) for track in tracks]
@@ -357,9 +361,11 @@ def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
     if not replay.missing:
         return []
     names = sorted(replay.missing)
+    shown = "built-in bodies and named boxes stand in" if replay.stand_ins else "shown as striped placeholders"
+    plainer = "" if replay.stand_ins else "; --stand-ins draws plain bodies and named boxes"
     lines = [
-        f"{len(names)} assets not found, shown as striped placeholders (Hint: --assets DIR or H3DATA_ASSETS; "
-        "h3data docs import says how to get Habitat's):"
+        f"{len(names)} assets not found, {shown} (Hint: --assets DIR or H3DATA_ASSETS; "
+        f"h3data docs import says how to get Habitat's{plainer}):"
     ]
     for name in names[:max_names]:
         count = replay.missing[name]

@@ -17,8 +17,18 @@ from h3data.errors import InputError
 from h3data.files import size_text
 from h3data.recording import Recording
 from h3data.recording.storage import RemotePath, place
+from h3data.render.light.sources import LightMode
 from h3data.replay import Replay
-from h3data_pipelines.command import ForceFlag, JsonFlag, LightOption, Outcome, PeopleOption, claim_file, open_episode
+from h3data_pipelines.command import (
+    ForceFlag,
+    JsonFlag,
+    LightOption,
+    Outcome,
+    PeopleOption,
+    StandInsFlag,
+    claim_file,
+    open_episode,
+)
 from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.pictures.rerender import missing_lines
 
@@ -60,6 +70,7 @@ class View:
     """Of the cameras' pictures and of strips; the 3-D scene has none."""
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
+    stand_ins: StandInsFlag = False
     open: bool = False
     """Open the file when it is written: .rrd in Rerun, others in the browser."""
     force: ForceFlag = False
@@ -83,7 +94,7 @@ class View:
         assert self.out is not None
         recording = open_episode(self.recording)
         out = claim_file(self.out, force=self.force, suffix=form)
-        replay = Replay(recording, assets=self.assets, people=self.people, light=self.light)
+        replay = self._replay(recording, light=self.light)
         write_image(out, episode_strip(replay))
         moments = moments_of(recording)
         lines = [f"wrote {out}", *(f"  step {m.step}: {m.text}" for m in moments), *missing_lines(replay)]
@@ -96,8 +107,8 @@ class View:
         assert self.out is not None
         recording = open_episode(self.recording)
         out = claim_file(self.out, force=self.force, suffix=".html")
-        replay = Replay(recording, assets=self.assets, people=self.people, detail=False)
-        written = write_html(recording, out, replay=replay, overwrite=self.force)
+        replay = self._replay(recording, detail=False)
+        written = write_html(replay.recording, out, replay=replay, overwrite=self.force)
         fewer = f", {written.states:,} of {written.steps:,} states" if written.states < written.steps else ""
         lines = [f"wrote {out} ({size_text(written.bytes)}{fewer}); open it in a browser", *missing_lines(replay)]
         return self._finished("html", out, lines, replay.missing, states=written.states)
@@ -117,11 +128,8 @@ class View:
             raise InputError(f"--compare expects a second recording, got the first one again: {self.compare}")
         recordings = [open_episode(path) for path in paths]
         out = claim_file(self.out or self._beside(), force=self.force, suffix=".rrd")
-        replays = [
-            Replay(recording, assets=self.assets, people=self.people, detail=False, light=self.light)
-            for recording in recordings
-        ]
-        shown = [self._shown(*each) for each in zip(paths, recordings, replays, strict=True)]
+        replays = [self._replay(recording, detail=False, light=self.light) for recording in recordings]
+        shown = [self._shown(*each) for each in zip(paths, replays, strict=True)]
         if len(shown) == 1:
             only = shown[0]
             write_rrd(only.recording, out, replay=only.replay, cameras=only.cameras, overwrite=self.force)
@@ -131,11 +139,21 @@ class View:
         missing = {uri: count for replay in reversed(replays) for uri, count in replay.missing.items()}
         return self._finished("rrd", out, [f"wrote {out}; open it with: rerun {out}", *lines], missing)
 
-    def _shown(self, path: Path, recording: Recording, replay: Replay) -> ShownRecording:
+    def _replay(self, recording: Recording, *, light: LightMode = "flat", detail: bool | None = None) -> Replay:
+        return Replay(
+            recording,
+            assets=self.assets,
+            people=self.people,
+            detail=detail,
+            light=light,
+            stand_ins=self.stand_ins,
+        )
+
+    def _shown(self, path: Path, replay: Replay) -> ShownRecording:
         from h3data_viewers import ShownRecording, rendered_feed
 
         feeds = [rendered_feed(replay, name) for name in dict.fromkeys(self.camera)]
-        return ShownRecording(recording=recording, replay=replay, cameras=feeds, name=str(place(path)))
+        return ShownRecording(recording=replay.recording, replay=replay, cameras=feeds, name=str(place(path)))
 
     def _beside(self) -> Path:
         if isinstance(place(self.recording), RemotePath):

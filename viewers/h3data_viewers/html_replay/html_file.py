@@ -105,6 +105,7 @@ def _lowest(bases: list[Any]) -> float:
 def _facts(recording: Recording, replay: Replay) -> dict[str, Any]:
     """What the page says of the recording, by title; all of it text."""
     episode, info = recording.episode, recording.episode.info
+    shapes = "plain bodies and named boxes" if replay.stand_ins else "striped shapes"
     facts = {
         "Task": episode.task.replace("_", " "),
         "Episode": episode.episode_id,
@@ -116,7 +117,7 @@ def _facts(recording: Recording, replay: Replay) -> dict[str, Any]:
         "Ended by": str(info.get("ended", "")).replace("_", " "),
         "Steps": f"{len(recording):,}",
         "Recorded by": episode.created_by,
-        "Not found": f"{len(replay.missing)} asset files: striped shapes stand in for them" if replay.missing else "",
+        "Not found": f"{len(replay.missing)} asset files: {shapes} stand in for them" if replay.missing else "",
     }
     return {name: str(value) for name, value in facts.items() if str(value)}
 

@@ -12,6 +12,7 @@ from h3data.bodies import Robot
 from h3data.exporters.gltf_skin import local_poses
 from h3data.exporters.posed_parts import PosedPart
 from h3data.geometry import Array, heading_from_quat, quat_sign_continuous
+from h3data.progress import progress
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
 from h3data.scene.articulation import posed
@@ -35,7 +36,7 @@ def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: N
     turned = {name for joint in joints for name in joint["nodes"]}
     rigged = {f"{agent['name']}/{link['name']}" for agent in agents for link in agent.get("links", ())}
     things: list[dict[str, Any]] = []
-    for part in parts:
+    for part in progress(parts, desc="write tracks", unit="thing", delay=1.0, leave=False):
         if (
             not len(part.mesh.faces)
             or part.name in turned

@@ -11,6 +11,7 @@ import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -41,6 +42,7 @@ from h3data_viewers.html_report.report_paper import (
 from h3data_viewers.html_report.report_pictures import (
     Highlight,
     Plans,
+    Posing,
     ReplayFiles,
     highlight_card,
     highlights,
@@ -90,8 +92,10 @@ def make_report(
     assets: Sequence[str | os.PathLike[str]] = (),
     people: PeopleStyle = "skin",
     light: LightMode = "flat",
+    stand_ins: bool = False,
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
+    seeds: Sequence[str] = (),
     more: Sequence[Table] = (),
     folder: Path | None = None,
     replays: ReplayFiles | None = None,
@@ -100,9 +104,10 @@ def make_report(
 ) -> Report:
     """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
-    ``assets`` are folders of the files that foreign recordings name; ``people`` and ``light`` are those of the key frames, as
-    in `h3data.replay.Replay`; ``study`` chooses the models of
-    episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population; ``more`` are
+    ``assets`` are folders of the files that foreign recordings name; ``people``, ``light`` and ``stand_ins`` are
+    those of the key frames, as in `h3data.replay.Replay`; ``study`` chooses the models of
+    episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population,
+    ``seeds`` has patterns of policies that differ by their training seed alone and are one row (`gather`); ``more`` are
     tables of what is not in recordings, each in a section of its own; ``folder`` is that of all
     paths, from which the page names them; ``replays`` takes HTML replays of the episodes with key
     frames, which link them; ``spread`` may have other processes or machines read and measure the recordings; ``command`` is
@@ -112,24 +117,26 @@ def make_report(
         InputError: there is no recording, or episodes that cannot share a table; see `gather`.
         FormatError: a file is damaged.
     """
-    data = gather(paths, zsc=zsc, spread=spread)
+    from h3data.replay import Replay
+
+    data = gather(paths, zsc=zsc, seeds=seeds, spread=spread)
     title = title or _title(data)
     missing: list[str] = []
     charts: dict[str, list[str]] = {}
     tables = _paper_tables(data, missing, study or StudyModel(), charts)
     pairs = paired_tables(data)
     if len(data.runs) > 1 and not pairs:
-        missing.append("Paired differences: no two runs hold the same episodes (ids, scenes and seeds).")
+        several = ", and runs of several training seeds are not paired" if any(run.seeds for run in data.runs) else ""
+        missing.append(f"Paired differences: no two runs hold the same episodes (ids, scenes and seeds){several}.")
     body, plans, heat = [], Plans(), []
+    posed: Posing = partial(Replay, assets=[Path(each) for each in assets], people=people, stand_ins=stand_ins)
     for task in data.tasks:
         runs, tail = data.of_task(task), f" in {task_name(task)}" if len(data.tasks) > 1 else ""
         partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
         heat += partners
         body += _task_sections(task, runs, [*tables, *partners], charts, plans, missing, tail)
         if chosen := highlights(runs, pictures):
-            body.append(
-                _highlighted(task, chosen, plans, [Path(each) for each in assets], people, light, tail, replays, folder)
-            )
+            body.append(_highlighted(task, chosen, plans, posed, light, tail, replays, folder))
     if any(not e.recorded for e in data.episodes):
         missing.append("Pictures, paths and times of evaluated episodes: evaluate --keep keeps their recordings.")
     body += [_section(table.key, table.title, to_html(table)) for table in more]
@@ -168,8 +175,10 @@ def write_report(
     assets: Sequence[str | os.PathLike[str]] = (),
     people: PeopleStyle = "skin",
     light: LightMode = "flat",
+    stand_ins: bool = False,
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
+    seeds: Sequence[str] = (),
     more: Sequence[Table] = (),
     folder: Path | None = None,
     replays: bool = False,
@@ -185,8 +194,10 @@ def write_report(
         assets=assets,
         people=people,
         light=light,
+        stand_ins=stand_ins,
         study=study,
         zsc=zsc,
+        seeds=seeds,
         more=more,
         folder=folder,
         replays=files,
@@ -294,15 +305,14 @@ def _highlighted(
     task: str,
     chosen: Sequence[Highlight],
     plans: Plans,
-    assets: Sequence[Path],
-    people: PeopleStyle,
+    posed: Posing,
     light: LightMode,
     tail: str,
     replays: ReplayFiles | None,
     folder: Path | None,
 ) -> Part:
     shown = progress(chosen, desc=f"picture episodes{tail}", unit="episode", leave=False)
-    cards = "".join(highlight_card(highlight, plans, assets, people, light, replays, folder) for highlight in shown)
+    cards = "".join(highlight_card(highlight, plans, posed, light, replays, folder) for highlight in shown)
     ranking = ", then by ".join(ranked_by(chosen[0].run.profile))
     lead = (
         f"<p class=quiet>Ranked by {ranking}. Plans: the robot in the colour of its run, the person grey; a ring is the start, "

@@ -45,7 +45,7 @@ def estimate_charts(runs: Sequence[Run]) -> list[str]:
 
 
 def _estimates(metric: Metric, runs: Sequence[Run], paper: Sequence) -> str:
-    summaries = [run.table.summary()[metric.name] for run in runs]
+    summaries = [run.means()[metric.name] for run in runs]
     published = [(row.name, row.values[metric.name]) for row in paper if metric.name in row.values]
     ends = [v for s in summaries for v in (s.mean, s.high) if np.isfinite(v)] + [v[0] for _, v in published]
     high = 1.0 if metric.range == (0.0, 1.0) else max(ends, default=1.0) * 1.08

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,10 @@ from h3data.metrics.registry import profile_for
 from h3data.progress import progress
 from h3data.recording import Recording, open_recording
 from h3data.recording.finding import find_sources
+from h3data.stats import over_seeds
 from h3data_viewers.html_report.report_episode import ReportEpisode
 from h3data_viewers.html_report.report_evaluations import (
+    evaluated_seeds,
     evaluated_zsc,
     holds_results,
     population_beside,
@@ -34,6 +37,7 @@ from h3data_viewers.html_report.report_evaluations import (
     zero_shot_population,
 )
 from h3data_viewers.html_report.report_reading import Found, Unread, read_part
+from h3data_viewers.html_report.report_tables import counted
 
 _FIRST = ("social_nav", "rearrange")
 """Tasks that a report begins with."""
@@ -55,6 +59,52 @@ class Run:
     """What measures the task, and says how it is shown."""
     episodes: tuple[ReportEpisode, ...]
     table: MetricsTable
+    seeds: tuple[str, ...] = ()
+    """Policies that differ by their training seed alone, whose episodes these are; empty: one policy."""
+
+    def means(self, chosen: Sequence[ReportEpisode] | None = None) -> dict[str, Mean]:
+        """The mean of each metric over ``chosen`` episodes of the run (default: all), by name; of several seeds the mean of
+        their means. Empty without episodes."""
+        episodes = self.episodes if chosen is None else tuple(chosen)
+        if not episodes:
+            return {}
+        if not self.seeds:
+            table = self.table if chosen is None else tabulate((e.metrics for e in episodes), profile=self.profile.name)
+            return {
+                name: Mean(mean=s.mean, low=s.low, high=s.high, count=s.count) for name, s in table.summary().items()
+            }
+        found: dict[str, Mean] = {}
+        for name in (metric.name for metric in self.table.metrics):
+            values = [[e.metrics.values[name] for e in episodes if e.policy == policy] for policy in self.seeds]
+            known = [kept for each in values if (kept := [v for v in each if not np.isnan(v)])]
+            over = over_seeds([float(np.mean(each)) for each in known])
+            found[name] = Mean(
+                mean=over.mean, low=over.mean - over.std, high=over.mean + over.std, deviation=over.std, seeds=over.seeds,
+                count=sum(map(len, known)),
+            )  # fmt: skip
+        return found
+
+    @property
+    def size(self) -> str:
+        """``60 episodes``, or ``60 episodes of 3 seeds``."""
+        episodes = counted(len(self.episodes), "episode")
+        return f"{episodes} of {len(self.seeds)} seeds" if self.seeds else episodes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mean:
+    """The mean of a metric over episodes with its 95% interval, or over the means of training seeds with their spread."""
+
+    mean: float
+    low: float
+    """Of seeds, one standard deviation below the mean."""
+    high: float
+    count: int
+    """Episodes that define the metric."""
+    deviation: float = np.nan
+    """Standard deviation over seeds (n - 1)."""
+    seeds: int = 0
+    """Seeds that have a mean; 0: these are episodes of one policy."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,17 +135,23 @@ class ReportData:
 
 
 def gather(
-    paths: Iterable[str | os.PathLike[str]], *, zsc: Sequence[str] = (), spread: Spread[Found] = map
+    paths: Iterable[str | os.PathLike[str]],
+    *,
+    zsc: Sequence[str] = (),
+    seeds: Sequence[str] = (),
+    spread: Spread[Found] = map,
 ) -> ReportData:
     """Reads every recording of datasets, logs and folders of these, and measures each by the profile of its task.
 
     A folder of ``h3data evaluate`` without recordings gives its results. ``zsc`` names the partners of the zero-shot
     population (default: those that the evaluation was told, else the paper's as far as all of it played, else as the
-    recordings say). ``spread`` may have other processes or machines read the recordings.
+    recordings say). Policies that fit a pattern of ``seeds``, such as ``weights:out/s*/policy.npz`` (default: those that
+    the evaluation was told), are one run of several training seeds. ``spread`` may have other processes or machines read
+    the recordings.
 
     Raises:
         InputError: there is no recording, or a path is given twice; a partner in ``zsc`` does not occur; what `tabulate`
-            refuses.
+            refuses; fewer than two policies fit a pattern of seeds.
         FormatError: a file is damaged.
     """
     roots = tuple(map(Path, paths))
@@ -113,7 +169,7 @@ def gather(
         gathered.name_population(zsc)
     return ReportData(
         paths=roots,
-        runs=_runs(gathered.grouped, gathered.profiles, roots),
+        runs=_pooled(_runs(gathered.grouped, gathered.profiles, roots), roots, seeds),
         unmeasured={reason: tuple(names) for reason, names in gathered.unmeasured.items()},
         curves=curves,
     )
@@ -302,6 +358,36 @@ def _runs(
         )
         for name, task, policy, profile, episodes in merged
     )  # fmt: skip
+
+
+def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str]) -> tuple[Run, ...]:
+    """The runs, those of training seeds as one in the place of the first."""
+    told = evaluated_seeds(roots)
+    for pattern in patterns:
+        told[pattern] = tuple(
+            dict.fromkeys(run.policy for run in runs if fnmatchcase(run.policy.partition("@")[0], pattern))
+        )
+        if len(told[pattern]) < 2:
+            policies = sorted({run.policy for run in runs})
+            raise InputError(
+                f"Expected several policies that fit {pattern!r}, got {len(told[pattern])}; there are: {', '.join(policies)}."
+            )
+    out = list(runs)
+    for pattern, policies in told.items():
+        for task in dict.fromkeys(run.task for run in runs):
+            members = [run for run in out if run.task == task and run.policy in policies and not run.seeds]
+            names = tuple(run.policy for run in members)
+            if len(members) < 2 or len(set(names)) < len(names):
+                continue  # datasets of one policy that hold the same episodes stay apart, so that they can be compared
+            episodes = tuple(episode for run in members for episode in run.episodes)
+            unique = (replace(e.metrics, uid=f"{e.metrics.uid} {e.policy}") for e in episodes)
+            first = members[0]
+            out[out.index(first)] = Run(
+                name=pattern, policy=pattern, task=task, profile=first.profile, episodes=episodes, seeds=names,
+                table=tabulate(unique, profile=first.profile.name),
+            )  # fmt: skip
+            out = [run for run in out if run not in members]
+    return tuple(out)
 
 
 def _one_row(parts: Sequence[Sequence[ReportEpisode]]) -> bool:

@@ -34,6 +34,25 @@ def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
     return told.pop() if len(told) == 1 else ()
 
 
+def evaluated_seeds(roots: Sequence[Path]) -> dict[str, tuple[str, ...]]:
+    """The policies that are one row of the tables of these evaluations, by the pattern that names them."""
+    found: dict[str, tuple[str, ...]] = {}
+    for root in roots:
+        try:
+            table = json.loads((root / "table.json").read_text(encoding="utf-8"))
+            ends = [f" with {partner}" for partner in table["job"].get("partners") or ()]
+            for cell in table.get("seeds", ()):
+                names = [str(seed["policy"]) for seed in cell["seeds"]]
+                pattern = str(cell["policies"])
+                for end in ends:  # of tasks that have a row for each pair of them
+                    if pattern.endswith(end):
+                        pattern, names = pattern.removesuffix(end), [name.removesuffix(end) for name in names]
+                found[pattern] = tuple(dict.fromkeys([*found.get(pattern, ()), *names]))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue
+    return found
+
+
 def population_beside(partner: str, task: str) -> str:
     """``train``, ``zsc`` or empty, as `ReportEpisode.population`, for a partner that an evaluation played by name."""
     from sim_kinematic.policies.rearrange import population_of

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,10 +17,9 @@ from h3data.metrics import (
     Metric,
     compare_tables,
     metrics_of,
-    tabulate,
 )
 from h3data.metrics.paper.published import published_results
-from h3data_viewers.html_report.report_data import ReportData, Run, same_episodes
+from h3data_viewers.html_report.report_data import Mean, ReportData, Run, same_episodes
 from h3data_viewers.html_report.report_tables import (
     NAN,
     Cell,
@@ -46,7 +46,7 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
     """Means with intervals of each run, the paper's rows below."""
     paper = published_results().social_nav
     metrics = metrics_of("paper", "social_nav")
-    summaries = [run.table.summary() for run in runs]
+    summaries = [run.means() for run in runs]
     best = _best([{name: s.mean for name, s in summary.items()} for summary in summaries], metrics)
     ours = []
     for k, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
@@ -55,9 +55,9 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
         for metric in metrics:
             s = summary[metric.name]
             beside = spread_cell(published.values.get(metric.name, ())).text if published else ""
-            cell = mean_cell(s.mean, s.low, s.high, small=f"paper {beside}" if beside else "")
+            cell = _measured(s, small=f"paper {beside}" if beside else "")
             cells.append(_strong(cell, k in best[metric.name]))
-        ours.append(Row(name=run.name, cells=tuple(cells), small=counted(len(run.episodes), "episode")))
+        ours.append(Row(name=run.name, cells=tuple(cells), small=run.size))
     published = [
         Row(name=row.name, cells=tuple(spread_cell(row.values.get(m.name, ())) for m in metrics)) for row in paper.rows
     ]
@@ -70,7 +70,8 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
     return Table(
         key="social_nav",
         title="Social navigation",
-        caption="Social navigation. Mean over episodes with 95 % interval (Wilson for S and CR, else bootstrap).",
+        caption="Social navigation. Mean over episodes with 95 % interval (Wilson for S and CR, else bootstrap)."
+        + _of_seeds(runs),
         name_head="Policy",
         columns=tuple(metric_column(m) for m in metrics),
         sections=(
@@ -110,15 +111,13 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
         cells = []
         for population in populations:
             chosen = [e for e in run.episodes if e.population == population]
-            summary = tabulate((e.metrics for e in chosen), profile="paper").summary() if chosen else {}
+            summary = run.means(chosen)
             for name in shown:
                 s, factor = summary.get(name), 100.0 if name == "SR" else 1.0
                 digits = 1 if name in ("SR", "RE") else 2
-                cells.append(
-                    mean_cell(factor * s.mean, factor * s.low, factor * s.high, digits=digits) if s else Cell(text="")
-                )
+                cells.append(_measured(s, factor=factor, digits=digits) if s else Cell(text=""))
         partners = len({e.partner for e in run.episodes})
-        small = f"{counted(len(run.episodes), 'episode')}, {counted(partners, 'partner')}"
+        small = f"{run.size}, {counted(partners, 'partner')}"
         ours.append(Row(name=run.name, cells=tuple(cells), small=small))
     published = [
         Row(
@@ -135,7 +134,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
         key="rearrange",
         title="Social rearrangement",
         caption="Social rearrangement, with the training population and with unseen partners. SR and RE in %. "
-        "Mean over episodes with 95 % interval.",
+        "Mean over episodes with 95 % interval." + _of_seeds(runs),
         name_head="Method",
         columns=tuple(
             metric_column(metrics[name], group=heads[population]) for population in populations for name in shown
@@ -154,21 +153,22 @@ def task_table(name: str, runs: Sequence[Run]) -> Table:
     profile = runs[0].profile
     shown = profile.report.columns or tuple(m.name for m in profile.metrics)
     metrics = [m for m in profile.metrics if m.name in shown]
-    summaries = [run.table.summary() for run in runs]
+    summaries = [run.means() for run in runs]
     best = _best([{m: s.mean for m, s in summary.items()} for summary in summaries], metrics)
     rows = []
     for k, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
         cells = []
         for metric in metrics:
             s, factor = summary[metric.name], 100.0 if metric.name in profile.report.percent else 1.0
-            cell = mean_cell(factor * s.mean, factor * s.low, factor * s.high, digits=_digits(metric))
+            cell = _measured(s, factor=factor, digits=_digits(metric))
             cells.append(_strong(cell, k in best[metric.name]))
-        rows.append(Row(name=run.name, cells=tuple(cells), small=counted(len(run.episodes), "episode")))
+        rows.append(Row(name=run.name, cells=tuple(cells), small=run.size))
     title = profile.report.title or name.capitalize()
     return Table(
         key=runs[0].task,
         title=title,
-        caption=f"{title}, by the metrics profile {profile.name}. Mean over episodes with 95 % interval.",
+        caption=f"{title}, by the metrics profile {profile.name}. Mean over episodes with 95 % interval."
+        + _of_seeds(runs),
         name_head="Policy",
         columns=tuple(metric_column(m) for m in metrics),
         sections=(Section(title="", rows=tuple(rows)),),
@@ -241,15 +241,13 @@ def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
     tables = []
     for name in names:
         cells = {
-            (run.name, column): _known(
-                e.metrics.values[name]
-                for e in run.episodes
-                if (e.population == "zsc" if column == ZSC else e.partner == column)
-            )
+            (run.name, column): run.means(
+                [e for e in run.episodes if (e.population == "zsc" if column == ZSC else e.partner == column)]
+            ).get(name)
             for run in runs
             for column in columns
         }
-        means = [float(np.mean(v)) for v in cells.values() if v]
+        means = [cell.mean for cell in cells.values() if cell is not None and cell.count]
         if not means:
             continue
         low, high = (0.0, max(1.0, *means)) if metrics[name].unit == "1" else (min(means), max(means))
@@ -298,14 +296,23 @@ def _strong(cell: Cell, strong: bool) -> Cell:
     return Cell(text=cell.text, value=cell.value, small=cell.small, strong=bool(strong))
 
 
-def _heat_cell(values: Sequence[float], low: float, high: float, digits: int) -> Cell:
-    if not values:
+def _measured(found: Mean, *, factor: float = 1.0, digits: int = 2, small: str = "") -> Cell:
+    """A mean with its interval, of seeds with their standard deviation."""
+    if not found.seeds:
+        return mean_cell(factor * found.mean, factor * found.low, factor * found.high, digits=digits, small=small)
+    values = (factor * found.mean, factor * found.deviation)
+    return replace(spread_cell(values[: 1 + (found.seeds > 1)], digits=digits), small=small)
+
+
+def _of_seeds(runs: Sequence[Run]) -> str:
+    return " Of several training seeds: mean of their means ± standard deviation." if any(r.seeds for r in runs) else ""
+
+
+def _heat_cell(found: Mean | None, low: float, high: float, digits: int) -> Cell:
+    if found is None or not found.count:
         return Cell(text="–")
-    mean = float(np.mean(values))
+    spread = f"± {number(found.deviation, digits)}, " if found.seeds > 1 else ""
     return Cell(
-        text=number(mean, digits), value=mean, small=f"n = {len(values)}", heat=(mean - low) / ((high - low) or 1.0)
-    )
-
-
-def _known(values: Iterable[float]) -> list[float]:
-    return [v for v in values if not np.isnan(v)]
+        text=number(found.mean, digits), value=found.mean, small=f"{spread}n = {found.count}",
+        heat=(found.mean - low) / ((high - low) or 1.0),
+    )  # fmt: skip

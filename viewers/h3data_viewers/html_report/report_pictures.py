@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -15,7 +15,6 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import H3DataError
 from h3data.metrics import Profile
 from h3data.metrics.report_layout import Milestone
@@ -29,8 +28,11 @@ from h3data_viewers.html_report.report_svg import Svg, linear
 from h3data_viewers.html_report.report_tables import counted, number
 
 if TYPE_CHECKING:
+    from h3data.replay import Replay
     from h3data.scene import Scene
 
+Posing = Callable[..., "Replay"]
+"""Makes the `Replay` of a recording, with further arguments by name."""
 _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
 _PIXELS = 2.0
 """Of the plan's picture per unit of the drawing."""
@@ -243,17 +245,15 @@ class ReplayFiles:
     folder: Path
     written: list[Path] = field(default_factory=list)
 
-    def link(
-        self, highlight: Highlight, recording: Recording, assets: Sequence[str | Path], people: PeopleStyle
-    ) -> str:
+    def link(self, highlight: Highlight, recording: Recording, posed: Posing) -> str:
         """Writes the replay of an episode and returns a link to it, relative to the report."""
-        from h3data.replay import Replay
         from h3data_viewers.html_replay.html_file import write_html
 
         task = re.sub(r"[^A-Za-z0-9_-]+", "_", recording.episode.task) or "episode"
         path = self.folder / f"{task}_{len(self.written) + 1}_{highlight.kind}.html"
+        replay = posed(recording, detail=False)
         write_html(
-            recording, path, replay=Replay(recording, assets=assets, people=people, detail=False),
+            replay.recording, path, replay=replay,
             title=f"{highlight.run.name}, episode {recording.episode.episode_id}", overwrite=True,
         )  # fmt: skip
         self.written.append(path)
@@ -263,29 +263,26 @@ class ReplayFiles:
 def highlight_card(
     highlight: Highlight,
     plans: Plans,
-    assets: Sequence[str | Path] = (),
-    people: PeopleStyle = "skin",
+    posed: Posing,
     light: LightMode = "flat",
     replays: ReplayFiles | None = None,
     folder: Path | None = None,
 ) -> str:
     """Plan with both tracks, key frames, distance over time and the metrics of one episode.
 
-    ``assets`` are folders of the files that a foreign recording names; ``people`` and ``light`` are as in `Replay`;
+    ``posed`` makes the `Replay` of a recording, to be seen in ``light``;
     ``replays`` takes an HTML replay of the episode, which the card links; the recording is named from ``folder``.
     """
-    from h3data.replay import Replay
-
     episode, link = highlight.episode, ""
     tag = highlight.kind if len(highlight.run.episodes) > 1 else "only one"
     rows = key_rows(episode, highlight.run.profile.report.milestones)
     scene, frames, missing = None, [], ""
     try:
         recording = read_whole(episode)
-        replay = Replay(recording, assets=assets, people=people, light=light)
+        replay = posed(recording, light=light)
         scene = replay.scene
         if replays is not None:
-            link = replays.link(highlight, recording, assets, people) + ". "
+            link = replays.link(highlight, recording, posed) + ". "
         if replay.drawables:
             frames = _frames(replay, [row for row, _ in rows])
         else:

@@ -25,7 +25,8 @@ def rank_table(runs: Sequence[Run]) -> Table | None:
     shown: dict[str, str] = {}
     for run in runs:
         for episode in run.episodes:
-            name = episode.condition if episode.studied else episode.policy or run.name
+            policy = run.policy if run.seeds else episode.policy
+            name = episode.condition if episode.studied else policy or run.name
             (human if episode.studied else automatic).setdefault(_key(name), []).append(episode)
             shown.setdefault(_key(name), name)
     shared = [key for key in automatic if key in human]

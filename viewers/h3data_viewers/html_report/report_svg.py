@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 
+from h3data_viewers.html_report.report_tables import cut
+
 Scale = Callable[[float], float]
 
 
@@ -55,7 +57,7 @@ class Svg:
 
     def text(self, x: float, y: float, text: str, css: str = "", *, anchor: str = "start", most: int = 0) -> None:
         """Text with its base line at y; longer than ``most`` characters it is cut, and whole in its title."""
-        shown = text if not most or len(text) <= most else text[: most - 1] + "…"
+        shown = text if not most else cut(text, most)
         title = f"<title>{escape(text)}</title>" if shown != text else ""
         self.parts.append(
             f'<text class="{css}" x="{_n(x)}" y="{_n(y)}" text-anchor="{anchor}">{escape(shown)}{title}</text>'

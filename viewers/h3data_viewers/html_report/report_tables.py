@@ -18,6 +18,10 @@ _LATEX = {
 }  # fmt: skip
 
 
+NAME_WIDTH = 34
+"""Characters of a name that a table shows: homes have up to 60, seeds 19, policies the path of their file."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Cell:
     """One value of a table."""
@@ -104,6 +108,15 @@ def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}{'s' if count != 1 else ''}"
 
 
+def cut(text: str, most: int) -> str:
+    """A name of at most ``most`` characters: sentences lose their end, single words their middle, since what tells names of
+    scenes and policies apart often comes last."""
+    if len(text) <= most:
+        return text
+    tail = 0 if " " in text else (most - 1) // 2
+    return text[: most - 1 - tail] + "…" + text[len(text) - tail :]
+
+
 def mean_cell(mean: float, low: float = NAN, high: float = NAN, *, digits: int = 2, small: str = "") -> Cell:
     """``mean [low, high]``; without the bracket if there is no interval."""
     interval = "" if math.isnan(low) else f" [{number(low, digits)}, {number(high, digits)}]"
@@ -132,7 +145,8 @@ def to_html(table: Table, *, sortable: bool = True) -> str:
     groups = "".join(f'<th colspan="{n}" scope="colgroup">{escape(g)}</th>' for g, n in table.groups)
     group_row = f"<tr><td></td>{groups}</tr>" if groups else ""
     heads = "".join(
-        f'<th scope="col"{_title(c.hint)}>{escape(c.head)}</th>' for c in (Column(head=table.name_head), *table.columns)
+        f'<th scope="col"{_title(c.hint)}>{_fitting(c.head)}</th>'
+        for c in (Column(head=table.name_head), *table.columns)
     )
     notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes)
     css = "data" + (" sortable" if sortable else "") + (" wide" if len(table.columns) > _WIDE else "")
@@ -152,19 +166,26 @@ def _html_section(table: Table, section: Section) -> str:
             f'<tr class="section"><th scope="rowgroup" colspan="{len(table.columns) + 1}">{escape(section.title)}</th></tr>'
         )
     for row in section.rows:
-        name = escape(row.name) + (f"<small>{escape(row.small)}</small>" if row.small else "")
+        name = _fitting(row.name) + (f"<small>{escape(row.small)}</small>" if row.small else "")
         lines.append(f'<tr><th scope="row">{name}</th>{"".join(map(_html_cell, row.cells))}</tr>')
     return "".join([*lines, "</tbody>"])
 
 
 def _html_cell(cell: Cell) -> str:
-    text = escape(cell.text).replace(" [", ' <span class="interval">[', 1)
+    text = _fitting(cell.text).replace(" [", ' <span class="interval">[', 1)
     text += "</span>" if "[" in cell.text else ""
     text = f"<strong>{text}</strong>" if cell.strong else text
     small = f"<small>{escape(cell.small)}</small>" if cell.small else ""
     value = "" if math.isnan(cell.value) else f' data-v="{cell.value:.6g}"'
     heat = "" if math.isnan(cell.heat) else f' class="heat" style="--v:{cell.heat:.3f}"'
     return f"<td{value}{heat}>{text}{small}</td>"
+
+
+def _fitting(text: str) -> str:
+    """A text of a cell: names and numbers without a space are cut in the middle where they are long, and whole in the title."""
+    if " " in text or len(text) <= NAME_WIDTH:
+        return escape(text)
+    return f'<span title="{escape(text)}">{escape(cut(text, NAME_WIDTH))}</span>'
 
 
 def _title(text: str) -> str:

@@ -77,7 +77,7 @@ def _findings(data: ReportData) -> list[str]:
     """The main numbers in words, the paper's beside them; what is not known is left out."""
     lines = []
     for run in data.runs:
-        summary, metrics = run.table.summary(), {m.name: m for m in run.table.metrics}
+        summary, metrics = run.means(), {m.name: m for m in run.table.metrics}
         layout = run.profile.report
         row = layout.published().row_of(run.policy) if layout.published else None
         published = row.values if row else {}
@@ -89,7 +89,7 @@ def _findings(data: ReportData) -> list[str]:
                 beside = f" (paper: {_in_words(metrics[name], published[name][0])})" if name in published else ""
                 share = " of episodes" if metrics[name].binary else ""
                 said.append(f"{phrase} {_in_words(metrics[name], summary[name].mean)}{share}{beside}")
-        lines.append(f"{run.name} ({counted(len(run.episodes), 'episode')}) {', '.join(said)}.")
+        lines.append(f"{run.name} ({run.size}) {', '.join(said)}.")
     return lines
 
 
@@ -108,7 +108,7 @@ def episode_list(data: ReportData) -> str:
             Row(
                 name=e.metrics.episode_id,
                 cells=(
-                    Cell(text=run.name),
+                    Cell(text=e.policy if run.seeds else run.name),
                     Cell(text=e.partner),
                     Cell(text=e.metrics.scene),
                     Cell(text=str(e.metrics.rows), value=e.metrics.rows),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import pose_inverse, pose_to_matrix, transform_points
 from h3data.mesh.mesh import Mesh, Texture
+from h3data.progress import progress
 from h3data.recording.records import Agent, Recording
 from h3data_viewers.rerun.mesh_budget import ViewMesh, baked_colors, texture_bytes, thin_mesh, view_mesh, view_texture
 from h3data_viewers.rerun.sink import Sink
@@ -178,7 +179,8 @@ def log_rigid(sink: Sink, recording: Recording, replay: PosedScene, *, share: fl
         track = LoggedTrack(sink, _unique(f"{parent}/{entity_part(name)}", taken))
         moving.append((index, agent, track, appearance))
     roots = {agent: recording.agent_column(agent, "base_pose") for _, agent, _, _ in moving if agent >= 0}
-    for steps in step_blocks(len(recording)):
+    blocks = step_blocks(len(recording) if moving else 0)
+    for steps in progress(blocks, desc="write poses", unit="block", delay=1.0, leave=False):
         to_root = {a: pose_to_matrix(pose_inverse(pose[steps].astype(np.float64))) for a, pose in roots.items()}
         for index, agent, track, _ in moving:
             matrices = replay.matrices(index, steps).astype(np.float64)
@@ -257,10 +259,15 @@ def log_skins(sink: Sink, recording: Recording, replay: PosedScene, skin_every: 
     per_sample = sum(12 * len(t.keep) for t in thin.values())
     every = max(1, skin_every, int(np.ceil(len(recording) * per_sample / (share * SKIN_BYTES))))
     steps = np.arange(0, len(recording), every)
+    parts = np.array_split(steps, len(steps) // 64 + 1)
+    bar = progress(total=len(steps) * len(skins), desc="write skins", unit="pose", delay=1.0, leave=False)
     for index, drawable in skins:
         keep = thin[index].keep
         # Skinning computes all vertices of a sample before thinning: blocks of about 64 samples bound the memory.
-        blocks = [replay.vertices(index, part)[:, keep] for part in np.array_split(steps, len(steps) // 64 + 1)]
+        blocks = []
+        for part in parts:
+            blocks.append(replay.vertices(index, part)[:, keep])
+            bar.update(len(part))
         vertices, rows, entity = np.concatenate(blocks), steps, f"world/objects/{entity_part(drawable.name)}"
         if _has_root(recording, drawable.agent):
             pose = recording.agent_column(drawable.agent, "base_pose")[steps].astype(np.float64)
@@ -274,3 +281,4 @@ def log_skins(sink: Sink, recording: Recording, replay: PosedScene, skin_every: 
         sink.static(entity, surface)
         columns = rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3)).partition([len(keep)] * len(rows))
         sink.columns(entity, rows, columns)
+    bar.close()

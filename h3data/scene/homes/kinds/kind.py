@@ -141,15 +141,18 @@ def extent(kind: Kind) -> NDArray[np.float64]:
 
 def grasp_point(kind: Kind) -> NDArray[np.float64]:
     """Point that a hand takes hold of, in the frame of the kind's parts at scale 1, shape [3] [m]."""
-    if kind.hold_m is not None:
-        return np.array(kind.hold_m)
-    low, high = extent(kind)
+    return np.array(kind.hold_m) if kind.hold_m is not None else grasp_point_in(kind.grasp, extent(kind))
+
+
+def grasp_point_in(grasp: Grasp, bounds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Point that a hand takes hold of in a thing with this box [2, 3] [m], +Y up; its middle where a handle is not known."""
+    low, high = bounds
     middle = (low + high) / 2
-    if kind.grasp == "rim":
+    if grasp == "rim":
         return np.array([high[0], high[1], middle[2]])
-    if kind.grasp == "edge":
+    if grasp == "edge":
         return np.array([middle[0], middle[1], high[2]])
-    if kind.grasp == "top":
+    if grasp == "top":
         return np.array([middle[0], high[1], middle[2]])
     return middle
 
