@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import random
 import struct
@@ -13,13 +14,14 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from h3data.errors import FormatError, InputError
 from h3data.recording import (
     Recording,
     RecordingWriter,
     open_recording,
+    open_steps,
     read_mcap,
     recordings_equal,
     recover_mcap,
@@ -130,11 +132,14 @@ def test_only_the_wanted_columns(tmp_path):
 
 
 # --- messages of other writers -----------------------------------------------------------------------------------------
-def rewritten(data: bytes, edit, *, extra=None, schema=lambda text: text, **options) -> bytes:
-    """The log with every message passed through ``edit(topic, decoded) -> bytes``, written by mcap alone."""
+def rewritten(
+    data: bytes, edit, *, extra=None, schema=lambda text: text, profile="h3data", records=True, **options
+) -> bytes:
+    """The log with every message passed through ``edit(topic, decoded) -> bytes``, written by mcap alone; without ``records``
+    only its messages."""
     out, reader = io.BytesIO(), make_reader(io.BytesIO(data))
     writer = Writer(out, **options)
-    writer.start(profile="h3data")
+    writer.start(profile=profile)
     ids: dict[int, int] = {}
     for of, channel, message in reader.iter_messages(log_time_order=False):
         assert of is not None
@@ -151,9 +156,9 @@ def rewritten(data: bytes, edit, *, extra=None, schema=lambda text: text, **opti
             writer.add_message(ids[channel.id], message.log_time, changed, message.publish_time)
     if extra:
         extra(writer)
-    for record in reader.iter_metadata():
+    for record in reader.iter_metadata() if records else ():
         writer.add_metadata(record.name, record.metadata)
-    for record in reader.iter_attachments():
+    for record in reader.iter_attachments() if records else ():
         writer.add_attachment(0, 0, record.name, record.media_type, record.data)
     writer.finish()
     return out.getvalue()
@@ -182,6 +187,46 @@ def test_logs_of_any_compression_are_read(tmp_path, compression):
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
     saved = recover_mcap(tmp_path / "cut.mcap", tmp_path / "saved.mcap")
     assert 0 < saved.steps <= len(rec)
+
+
+@pytest.mark.parametrize("profile", ["h3data", "", "tool"])
+def test_logs_without_metadata_records_are_read(tmp_path, profile):
+    """Other tools filter and merge logs, and leave our metadata records and attachments out."""
+    rec, path = simple_recording(steps=30), tmp_path / "bare.mcap"
+    whole = write_mcap(rec, tmp_path / "b.mcap").read_bytes()
+    data = rewritten(whole, lambda _, m: m.SerializeToString(), profile=profile, records=False, chunk_size=2000)
+    path.write_bytes(data)
+    back = read_mcap(path)
+    expected = dataclasses.replace(rec, episode=back.episode, attachments={})
+    assert recordings_equal(expected, back) == []
+    assert back.episode.dt_ns == int(rec.columns["time_ns"][1] - rec.columns["time_ns"][0])
+    assert (back.episode.task, back.episode.info["recovered"]["steps"]) == ("unknown", 30)
+    assert set(read_mcap(path, columns=["metrics.dist_agents"]).columns) >= {"metrics.dist_agents", "time_ns"}
+    with open_steps(path) as steps:
+        assert recordings_equal(dataclasses.replace(steps.recording(0, 30), episode=back.episode), back) == []
+        assert steps.recording(3, 4).episode.uid == back.episode.uid
+    write_mcap(back, tmp_path / "again.mcap")
+    assert recordings_equal(read_mcap(tmp_path / "again.mcap"), back) == []
+    assert "no metadata records" in recover_mcap(path, tmp_path / "whole.mcap").reason
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(FormatError, match=r"[1-9]\d* complete steps can be saved with `h3data recover"):
+        read_mcap(path)
+    assert 0 < recover_mcap(path, tmp_path / "saved.mcap").steps < 30
+    assert read_mcap(tmp_path / "saved.mcap").episode.info["recovered"]["reason"].startswith("truncated")
+    assert "no metadata records" in read_mcap(tmp_path / "saved.mcap").episode.info["recovered"]["reason"]
+
+
+def test_metadata_records_out_of_reach_are_not_made_up(tmp_path):
+    """The log has its metadata records, but its summary does not index them: steps cannot be told apart from a bare log's."""
+    rec = simple_recording(steps=9)
+    index = IndexType.ALL & ~IndexType.METADATA
+    data = rewritten(
+        write_mcap(rec, tmp_path / "b.mcap").read_bytes(), lambda _, m: m.SerializeToString(), index_types=index
+    )
+    (tmp_path / "a.mcap").write_bytes(data)
+    assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
+    with pytest.raises(FormatError, match=r"does not tell where its metadata records are.*h3data convert"):
+        open_steps(tmp_path / "a.mcap")
 
 
 def test_metrics_on_a_topic_of_their_own_are_read(tmp_path, monkeypatch):

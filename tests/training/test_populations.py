@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from collections import Counter
@@ -29,7 +30,7 @@ from h3data_training.populations.networks import Chooser
 from h3data_training.populations.playing import Batch, Decisions, Job, Players, discounted
 from h3data_training.populations.pool import draw_pool, episodes_of, pool_of, pool_order
 from h3data_training.populations.run import CHECKPOINT, POLICY, train
-from h3data_training.populations.settings import NAMES, ROBOT, PopulationSettings
+from h3data_training.populations.settings import NAMES, ROBOT, PopulationSettings, rearrange_recipe
 from sim_kinematic.agents.skills import choices
 from sim_kinematic.policies.choosers.chooser_network import (
     OBSERVATIONS,
@@ -710,7 +711,8 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
     assert "10 updates" in text
     assert not (tmp_path / "n").exists()
     for options, message in (
-        (["rearrange", "--recipe", "fast", "--gpus", "2"], "--recipe, --gpus"),
+        (["rearrange", "--hold", "3", "--gpus", "2"], "--hold, --gpus"),
+        (["rearrange", "--recipe", "fast"], "Unknown recipe 'fast' of rearrange. Expected one of: paper; or none"),
         (["rearrange", "--population", "plan_pop"], "Did you mean"),
         (["rearrange", "--workers", "0"], "at least 1 worker"),
         (["social_nav", "--population", "learn_pop"], "--population"),
@@ -722,6 +724,41 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
         assert message in capsys.readouterr().err
     assert main(["train", "rearrange", "-o", str(whole)]) == 2
     assert "holds a training run" in capsys.readouterr().err
+
+
+def test_the_published_settings(
+    episodes: Sequence[RearrangeEpisode], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Habitat 3.0, appendix on social rearrangement: 100 M steps, 96 environments of 128 steps, two minibatches, one epoch."""
+
+    def planned(*options: str) -> dict[str, Any]:
+        command = [
+            "train",
+            "rearrange",
+            "--recipe",
+            "paper",
+            *options,
+            "--dry-run",
+            "--json",
+            "-o",
+            str(tmp_path / "n"),
+        ]
+        assert main(command) == 0
+        return json.loads(capsys.readouterr().out)
+
+    plan = planned("--population", "learn_pop")
+    assert plan["steps"] == pytest.approx(100e6, rel=0.01)
+    assert plan["steps"] / plan["updates"] == pytest.approx(96 * 128, rel=0.03)
+    found = plan["settings"]
+    assert (found["walk"], found["hidden"], found["epochs"], found["gradient_norm"]) == ("paper", 512, 1, 0.2)
+    assert (found["rate"] * found["rate_end"], found["entropy"] * found["entropy_end"]) == (2.5e-4, 1e-4)
+    assert (1 - 1 / found["horizon"]) ** found["think_steps"] == pytest.approx(0.99, abs=1e-4)
+    assert planned("--worlds", "40")["settings"]["chunks_per_minibatch"] == 20
+    assert planned("--minutes", "5")["settings"]["updates"] == 0
+    small = rearrange_recipe("paper", population="plan_pop_1", updates=1, hidden=32, width=32)
+    (tmp_path / "run").mkdir()
+    result = train(tmp_path / "run", small, workers=1, episodes=episodes)
+    assert result.last["gradient_steps"] == 2
 
 
 def test_a_critic_is_told_who_the_partner_is() -> None:

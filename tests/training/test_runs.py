@@ -311,6 +311,9 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
     assert main(["train", "social_nav", "--recipe", "fast", "--dry-run", "--json", "-o", str(tmp_path / "n")]) == 0
     plan = json.loads(capsys.readouterr().out)
     assert plan["decisions_per_update"] == 131072
+    options = ["--recipe", "paper", "--minutes", "5"]  # minutes that are given decide, not the recipe's updates
+    assert main(["train", "social_nav", *options, "--dry-run", "--json", "-o", str(tmp_path / "n")]) == 0
+    assert json.loads(capsys.readouterr().out)["settings"]["updates"] == 0
     options = ["--scenes", "h3-homes/train,h3-homes-v2/train", "--episodes-per-home", "14"]
     assert main(["train", "social_nav", *options, "--dry-run", "--json", "-o", str(tmp_path / "n")]) == 0
     chosen = json.loads(capsys.readouterr().out)["settings"]

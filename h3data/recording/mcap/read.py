@@ -5,23 +5,26 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from typing import Any
+from uuid import NAMESPACE_OID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, suggest
-from h3data.recording.mcap.header import PROFILE, TOPIC_MESSAGES
+from h3data.recording.mcap.header import PROFILE, TOPIC_MESSAGES, episode_metadata
 from h3data.recording.mcap.scan import McapRecords, decoding_errors, scan_records
 from h3data.recording.mcap.shared_files import RECORD, shared_files
-from h3data.recording.mcap.wire import decode_messages, fields_from_metadata, message_class
-from h3data.recording.records import Episode, Recording, RecordingHeader, SkillSpan
+from h3data.recording.mcap.wire import STEP, decode_messages, fields_from_metadata, message_class
+from h3data.recording.records import STEP_NS, Episode, Recording, RecordingHeader, SkillSpan
 from h3data.recording.schema import (
+    Column,
     Layout,
     check_version,
     default_layout,
     episode_from_dict,
     layout_from_json,
     layout_hash,
+    layout_to_json,
     ordered,
     required_columns,
     struct_from_dict,
@@ -32,7 +35,9 @@ from h3data.recording.storage import AnyPath, RemotePath, place
 def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[str] | None = None) -> Recording:
     """The recording in an MCAP file, exactly as it was written.
 
-    With ``columns`` only these and the indispensable ones (time, object and base poses) are decoded.
+    With ``columns`` only these and the indispensable ones (time, object and base poses) are decoded. Of a log that another
+    program has written anew without its metadata records, there are all steps, skills and events; the task is ``unknown``, and
+    ``info["recovered"]`` says why.
 
     Raises:
         InputError: the file does not exist or cannot be read, or lacks a column.
@@ -41,7 +46,9 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
     path = place(path)
     log = scan_records(load(path))
     check_kind(log, path)
-    if log.fault is None and "h3.end" not in log.metadata:
+    if lacks_records(log):
+        reconstruct_all(log, path)
+    elif log.fault is None and "h3.end" not in log.metadata:
         log.fault = "the recording was never finished"
     if log.fault is not None:
         raise FormatError(
@@ -75,13 +82,71 @@ def check_kind(log: McapRecords, path: AnyPath) -> None:
     """Raises a `FormatError` unless the records are those of an h3data log of a version we read."""
     if not log.readable_bytes:
         raise FormatError(f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}")
-    if log.profile != PROFILE and (log.profile or log.fault is None):
+    ours = log.profile == PROFILE or "h3.Scene" in {name for name, _ in log.schemas.values()}
+    if not ours and (log.profile or log.fault is None):
         raise FormatError(
             f"An MCAP log, but of profile {log.profile!r}; h3data reads profile {PROFILE!r}. "
             f"Hint: open it with Rerun or Foxglove: {path}"
         )
     if "h3.schema" in log.metadata:
         check_version(log.metadata["h3.schema"].get("version", ""), path=path)
+
+
+# --- logs without metadata records ------------------------------------------------------------------------------------
+def lacks_records(log: McapRecords) -> bool:
+    """Whether another program has written the log anew without our metadata records; each log of ours begins with one."""
+    ours = any(name.startswith("h3.") for name in log.metadata)
+    return not ours and log.channel_of("/h3/scene") is not None
+
+
+def reconstruct_all(log: McapRecords, path: AnyPath) -> None:
+    """`reconstruct` from a whole log; a `FormatError` if its topics cannot be read."""
+    try:
+        reconstruct(log, path)
+    except (KeyError, *decoding_errors()) as error:
+        raise FormatError(f"Not a log that h3data can read ({error!r}): {path}") from error
+
+
+def reconstruct(
+    log: McapRecords, path: AnyPath, *, steps: int | None = None, first: Sequence[memoryview] | None = None
+) -> None:
+    """Adds the metadata records, as far as the topics tell them: columns, number of steps, and time between steps.
+
+    Task, scene, seed and settings are lost; ``info["recovered"]`` says so. ``steps`` and ``first`` are the number of messages
+    on ``/h3/state`` and the first two of them, taken from the log if None.
+    """
+    channels = {topic: log.channel_of(f"/h3/{topic}") for topic in TOPIC_MESSAGES}
+    layout: list[Column] = []
+    for topic, channel in channels.items():
+        if channel is not None:
+            fields = fields_from_metadata(log.channels[channel][2], topic=f"/h3/{topic}")
+            layout += [field.column for field in fields if field.column is not STEP]
+    messages = [] if channels["state"] is None else log.messages.get(channels["state"], [])
+    steps, first = len(messages) if steps is None else steps, messages[:2] if first is None else first
+    note = {
+        "from": path.name,
+        "reason": "the log has no metadata records: task, scene, seed and settings are not known",
+    }
+    episode = Episode(
+        uid=str(uuid5(NAMESPACE_OID, f"{path.name} {steps}")), episode_id=path.name.split(".")[0], task="unknown",
+        scene="unknown", dt_ns=_step_ns(log, channels["state"], first), info={"recovered": {**note, "steps": steps}},
+    )  # fmt: skip
+    log.metadata |= {"h3.episode": episode_metadata(episode), "h3.end": {"steps": str(steps)}}
+    if layout:
+        columns = tuple(layout)
+        log.metadata["h3.layout"] = {"columns": layout_to_json(columns), "hash": layout_hash(columns)}
+
+
+def _step_ns(log: McapRecords, channel: int | None, first: Sequence[memoryview]) -> int:
+    """Time from the first step to the second [ns], or that of our tasks."""
+    if channel is None or len(first) < 2:
+        return STEP_NS
+    _, schema, metadata = log.channels[channel]
+    fields = fields_from_metadata(metadata, topic="/h3/state")
+    rows = decode_messages(
+        fields, first, wanted={"time_ns"}, descriptor=log.schemas[schema][1], message=f"h3.{TOPIC_MESSAGES['state']}"
+    )
+    return max(int(rows["time_ns"][1]) - int(rows["time_ns"][0]), 1)
 
 
 # --- from records to a recording --------------------------------------------------------------------------------------

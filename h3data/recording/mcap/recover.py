@@ -8,7 +8,7 @@ from pathlib import Path
 
 from h3data.errors import FormatError, InputError
 from h3data.recording.mcap.part import publish
-from h3data.recording.mcap.read import assemble, check_kind, load
+from h3data.recording.mcap.read import assemble, check_kind, lacks_records, load, reconstruct_all
 from h3data.recording.mcap.scan import decoding_errors, scan_records
 from h3data.recording.mcap.shared_files import RECORD, shared_files
 from h3data.recording.mcap.writer import write_mcap
@@ -44,6 +44,8 @@ def recover_mcap(
         raise InputError(f"The file exists; choose another name or pass overwrite=True: {out}")
     log = scan_records(load(path))
     check_kind(log, path)
+    if bare := lacks_records(log):
+        reconstruct_all(log, path)
     finished = log.fault is None and "h3.end" in log.metadata
     reason = log.fault or ("nothing is wrong with it" if finished else "the recording was never finished")
     missing = ""
@@ -55,6 +57,8 @@ def recover_mcap(
         recording = assemble(log, path, steps=None, wanted=None)
     except (KeyError, FormatError, *decoding_errors()) as error:
         raise FormatError(f"Nothing can be recovered ({error}): {path}") from error
+    if bare:
+        missing = "; ".join(filter(None, [missing, recording.episode.info["recovered"]["reason"]]))
     if missing:
         reason = missing if finished else f"{reason}; {missing}"
     if not finished or missing:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from h3data.recording.mcap.header import TOPIC_MESSAGES
-from h3data.recording.mcap.read import assemble, check_kind, columns_of
+from h3data.recording.mcap.read import assemble, check_kind, columns_of, lacks_records, reconstruct
 from h3data.recording.mcap.scan import MAGIC, McapRecords, check_crc, decoding_errors, decompress, take
 from h3data.recording.mcap.shared_files import RECORD, shared_files
 from h3data.recording.records import Recording
@@ -27,7 +27,7 @@ _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQH")
 _MESSAGE_HEAD = _RECORD.size + 22
 _FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
-_MESSAGE_OP, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _METADATA_INDEX = 5, 7, 8, 10, 13
+_MESSAGE_OP, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 5, 7, 8, 10, 11, 13
 _ONCE = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
 _CHUNKS_KEPT = 2
 _T = TypeVar("_T")
@@ -61,17 +61,21 @@ class McapSteps(Steps):
         self._log = McapRecords(size=self._file.seek(0, 2))
         self._chunks: list[Any] = []
         self._attachments: list[int] = []
+        self._metadata_records: int | None = None
+        """How many the log has, if its summary says so."""
         self._read_summary()
-        if "h3.end" not in self._log.metadata:
-            raise EOFError("the recording was never finished")
-        if "h3.layout" not in self._log.metadata:
-            raise ValueError("the record h3.layout is missing")
-        self._steps = int(self._log.metadata["h3.end"]["steps"])
         self._places = {
             channel: self._places_of(channel)
             for topic in (*(f"/h3/{t}" for t in TOPIC_MESSAGES), *_ONCE)
             if (channel := self._log.channel_of(topic)) is not None
         }
+        if lacks_records(self._log):
+            self._reconstruct()
+        if "h3.end" not in self._log.metadata:
+            raise EOFError("the recording was never finished")
+        if "h3.layout" not in self._log.metadata:
+            raise ValueError("the record h3.layout is missing")
+        self._steps = int(self._log.metadata["h3.end"]["steps"])
         self._per_step = [c for c in self._places if self._log.channels[c][0] not in _ONCE]
         for channel in self._per_step:
             if (count := self._places[channel][-1]) != self._steps:
@@ -123,7 +127,7 @@ class McapSteps(Steps):
     def _read_summary(self) -> None:
         """Reads schemas, channels and indexes at the end of the file, and the metadata records that these point to."""
         from mcap.data_stream import ReadDataStream
-        from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex
+        from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex, Statistics
 
         log = self._log
         if self._bytes(0, len(MAGIC)) != MAGIC:
@@ -145,6 +149,8 @@ class McapSteps(Steps):
                 self._chunks.append(ChunkIndex.read(stream))
             elif opcode == _METADATA_INDEX:
                 metadata.append(MetadataIndex.read(stream).offset)
+            elif opcode == _STATISTICS:
+                self._metadata_records = Statistics.read(stream).metadata_count
             elif opcode == _ATTACHMENT_INDEX:
                 self._attachments.append(AttachmentIndex.read(stream).offset)
             else:
@@ -153,6 +159,17 @@ class McapSteps(Steps):
         for offset in sorted(metadata):
             take(log, *self._record(offset))
         check_kind(log, self.path)
+
+    def _reconstruct(self) -> None:
+        """Adds the metadata records that another program has left out; a `FormatError` if there are some out of reach."""
+        if self._metadata_records != 0:
+            raise FormatError(
+                "The summary of this log does not tell where its metadata records are. Hint: `h3data convert` adds that."
+            )
+        state = self._log.channel_of("/h3/state")
+        steps = 0 if state is None else self._places[state][-1]
+        first = [] if state is None else list(self._messages(state, 0, min(steps, 2)))
+        reconstruct(self._log, self.path, steps=steps, first=first)
 
     def _places_of(self, channel: int) -> list[int]:
         """Number of messages of a channel before each chunk, and in all chunks together."""

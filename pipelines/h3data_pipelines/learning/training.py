@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 OF_REARRANGE = ("population", "workers", "episodes_file", "without")
 """Options that only rearrange has,"""
-OF_SOCIAL_NAV = ("recipe", "observations", "light", "hold", "init", "rollout", "minibatches", "follow_steps", "horizon")
+OF_SOCIAL_NAV = ("observations", "light", "hold", "init", "rollout", "minibatches", "follow_steps", "horizon")
 """those that only social_nav and skills have, beside the number of GPUs,"""
 NOT_OF_SKILLS = (*OF_REARRANGE, "walk", "follow_steps", "light")
 """and those that skills do not have: nobody else is there, and they see depth."""
@@ -48,6 +48,7 @@ class Train:
         h3data train social_nav --recipe fast --device cuda --scenes h3-homes/train,h3-homes-v2/train -o out/both
         h3data train social_nav --recipe fast --dry-run -o out/nav
         h3data train rearrange --population plan_pop_3 --minutes 30 -o out/plan_pop_3
+        h3data train rearrange --recipe paper --population learn_pop --worlds 20 --device cuda -o out/paper
         h3data train rearrange --population plan_pop_3 --without humanoid_gps -o out/no_gps
         h3data train rearrange --population learn_pop --workers 16 --updates 200 --resume -o out/learn_pop
         h3data train skill nav -o out/skills/nav
@@ -74,7 +75,8 @@ class Train:
     """social_nav, settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one
     (pictures of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where
     the person is and how far off walls are; the default). skill: fast is for one GPU (4,096 worlds, pictures of 64 x 48, no map
-    but for critic and teacher), tiny for a CPU (512 worlds, no pictures: the robot is told the path; the default)."""
+    but for critic and teacher), tiny for a CPU (512 worlds, no pictures: the robot is told the path; the default). rearrange:
+    paper has the published settings but for pictures (100 M steps; h3data docs populations); the default is our own."""
     seed: int = 0
     """Everything random follows from it."""
     minutes: float | None = None
@@ -184,8 +186,7 @@ class Train:
 
         shown = None if self.observations is None else tuple(self.observations.split(","))
         changes: dict[str, Any] = {
-            "minutes": self.minutes, "updates": self.updates, "scenes": self.scenes,
-            "episodes_per_home": self.episodes_per_home, "worlds": self.worlds,
+            **self._length(), "scenes": self.scenes, "episodes_per_home": self.episodes_per_home, "worlds": self.worlds,
             "hold": self.hold, "observations": shown, "robot": self.robot, "rollout": self.rollout,
             "minibatches": self.minibatches, "light": self.light,
         }  # fmt: skip
@@ -193,6 +194,11 @@ class Train:
         if self.task == "skill":
             return name, skill_recipe(name, self.skill, **changes)
         return name, recipe(name, **changes, walk=self.walk, follow_steps=self.follow_steps)
+
+    def _length(self) -> dict[str, Any]:
+        """Minutes and updates of the run, None as in the recipe; minutes alone take the place of a recipe's updates."""
+        of_recipe = None if self.minutes is None else 0
+        return {"minutes": self.minutes, "updates": of_recipe if self.updates is None else self.updates}
 
     def _rearrange(self) -> Outcome:
         strangers = [f"--{name.replace('_', '-')}" for name in OF_SOCIAL_NAV if getattr(self, name) is not None]
@@ -209,10 +215,10 @@ class Train:
         if self.workers is not None and self.workers < 1:
             raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.")
         from h3data_pipelines.learning.rearrangement import plan_rearrange, train_rearrange
-        from h3data_training.populations.settings import PopulationSettings
+        from h3data_training.populations.settings import rearrange_recipe
 
-        settings = PopulationSettings().changed(
-            population=self.population, minutes=self.minutes, updates=self.updates, scenes=self.scenes,
+        settings = rearrange_recipe(
+            self.recipe, **self._length(), population=self.population, scenes=self.scenes,
             episodes_per_home=self.episodes_per_home, robot=self.robot, walk=self.walk, without=self.without,
         )  # fmt: skip
         if self.worlds is not None:
