@@ -25,11 +25,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies import load_humanoid
 from h3data.geometry import heading_from_quat, wrap_angle
 from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording
 from h3data.scene import FreeSpace, Scene
+from sim_kinematic.agents.person_clearance import reach_room
+from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, Action
+from sim_kinematic.agents.stands import person_stands
 from sim_kinematic.avoidance.routes import FloorRoutes
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.policies.views import RearrangeView
@@ -45,7 +49,7 @@ STOPS_M = 1.5
 """Whoever drives the robot stops when the person is nearer than this."""
 NAVIGATES = {ALL_SKILLS.index("nav_to_object"): False, ALL_SKILLS.index("nav_to_goal"): True}
 """Whether a skill goes to where its object belongs."""
-REACH_M, LOOKS_STEPS = 1.0, 10
+LOOKS_STEPS = 10
 WAIT = ALL_SKILLS.index("wait")
 
 
@@ -66,7 +70,7 @@ def played(seeds: Iterable[int], file: Path | None = None) -> Iterator[dict[str,
             known[seed] = {
                 "seed": seed, "home": f"small:{seed % HOMES}", "driven": driven, "steps": len(recording), "alone": alone,
                 "ended": recording.episode.info["ended"], "stand_offs": stand_offs(recording, _home(seed % HOMES)[1]),
-                "shut": shut_steps(recording, _home(seed % HOMES)[1]) if driven else 0,
+                "shut": shut_steps(recording, *_home(seed % HOMES)) if driven else 0,
             }  # fmt: skip
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
@@ -160,24 +164,29 @@ def _left(recording: Recording, free: FreeSpace, xz: NDArray, skill: NDArray, ta
     return left
 
 
-def shut_steps(recording: Recording, free: FreeSpace) -> int:
-    """Steps in which no way led the person around the robot, as it stood, to within `REACH_M` of where they were going: no rule
-    of giving way helps against these. Looked at in every `LOOKS_STEPS`-th step."""
+def shut_steps(recording: Recording, scene: Scene, free: FreeSpace) -> int:
+    """Steps in which no way led the person around the robot, as it stood, to any place from which a hand gets to where they
+    were going: no rule of giving way helps against these. Looked at in every `LOOKS_STEPS`-th step."""
     columns, goals = recording.columns, [goal["position"] for goal in recording.episode.info["goals"]]
-    routes, shut = FloorRoutes.of(free), 0
+    body = load_humanoid(recording.agents[1].model.removeprefix("humanoid/"))
+    routes, room, shut = FloorRoutes.of(free), reach_room(scene, body, free.floor_y), 0
+    places: dict[tuple[float, ...], NDArray[np.float64]] = {}
     for step in range(0, len(recording), LOOKS_STEPS):
         skill, k = int(columns["agent_1.skill"][step]), int(columns["agent_1.skill_target"][step])
         if skill not in NAVIGATES:
             continue
-        end = np.asarray(goals[k] if NAVIGATES[skill] else columns["object_pose"][step, k, :3])[[0, 2]]
+        end = np.asarray(goals[k] if NAVIGATES[skill] else columns["object_pose"][step, k, :3], np.float64)
+        key = tuple(end.round(2).tolist())
+        if key not in places:
+            stands = [(stand, hand) for hand in HANDS for stand in person_stands(free, body, end, hand)]
+            places[key] = np.array([s[:2] for s, hand in stands if room.is_clear(s, end, hand)]).reshape(-1, 2)
         robot, person = (columns[f"agent_{n}.base_pose"][step].astype(np.float64) for n in range(2))
         heading = float(heading_from_quat(robot[3:]))
         along = np.array([np.cos(heading), -np.sin(heading)])
         radius = AVOIDANCE.robot.radius_m + AVOIDANCE.person.radius_m
         discs = np.array([(*(robot[[0, 2]] + offset * along), radius) for offset in AVOIDANCE.robot.offsets_m])
-        distance = routes.flood(person[[0, 2]], discs).distance
-        near = np.hypot(*(routes.centres - end).transpose(2, 0, 1)) <= REACH_M
-        shut += not np.isfinite(distance[near]).any()
+        alone, around = (routes.flood(person[[0, 2]], them).reaches(places[key]) for them in (discs[:0], discs))
+        shut += bool(alone.any() and not around.any())
     return min(shut * LOOKS_STEPS, len(recording))
 
 

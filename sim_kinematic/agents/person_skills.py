@@ -24,7 +24,7 @@ from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Obj
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.yielding import NO_PATH, Seen, crowds, in_the_way, path_around, waits
+from sim_kinematic.avoidance.yielding import NO_PATH, Seen, crowds, in_the_way, path_around, shut_off, waits
 from sim_kinematic.motion.gait import move_people, walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
@@ -34,6 +34,8 @@ TURN_PATIENCE_STEPS = 10
 """Steps for which a person waits for room to turn on the spot; after them they turn while walking."""
 BACK_AFTER_STEPS, BACK_STEPS = 20, 15
 """Who cannot step aside for this long, because any step would touch somebody, first goes back this many steps."""
+HALT_STEPS = 30
+"""Who is turned away while walking first comes to a stand, for which this is time enough."""
 SHUFFLE_MPS = 0.4
 """Speed at which people step sideways and back without turning."""
 ASIDE_LEG_M = 0.05
@@ -82,6 +84,7 @@ class PersonActor:
     path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True
     aside: NDArray[np.float64] | None = None
+    turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
@@ -90,6 +93,8 @@ class PersonActor:
         """Postures before the last steps of a walk."""
         self._held_up = 0
         """Steps since the last one that was not stopped by others."""
+        self._goes_around = False
+        """Turned away, they go by ways around who stands, until they get somewhere."""
 
     @property
     def is_robot(self) -> bool:
@@ -145,6 +150,8 @@ class PersonActor:
 
     def start(self, action: Action) -> Skill:
         k = action.target
+        self._goes_around |= self.turned_away
+        self.turned_away = False
         self._trail.clear()
         if action.skill not in ("pick", "place"):
             self.person.look_at = None
@@ -184,6 +191,8 @@ class PersonActor:
                 self._stand()
                 yield
             crowded = crowds(stands, self.others)
+            if self._goes_around:
+                crowded |= shut_off(self.free, self.xz, stands[:, :2], self.others)
             k, left = nearest_stand(
                 self.free, stands, self.xz, crowded, partial(self._has_room, point=point, hand=hand)
             )
@@ -230,9 +239,15 @@ class PersonActor:
     def _go_to(self, stand: Array, point: Array) -> Skill:
         """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
         waited = yield from self._walk(stand[:2], facing=float(stand[2]))
+        for _ in range(HALT_STEPS):
+            if not self.turned_away or (self._gait.blend[0] == 0 and self.person.walk.stands):
+                break
+            self._pace(None)
+            yield
         if np.hypot(*(self.xz - stand[:2])) > 2 * self.spec.arrive_m:
-            return Ending("failed", "blocked" if waited > AVOIDANCE.patience_steps else "stuck")
+            return Ending("failed", "blocked" if self.turned_away or waited > AVOIDANCE.patience_steps else "stuck")
         self.person.look_at = point.copy()
+        self._goes_around = False
         yield from self._careful(self.person.turn(float(stand[2]), settles=False))
         return Ending("done")
 
@@ -267,7 +282,7 @@ class PersonActor:
         if self._gait.blend[0] == 0:
             self._gait = self._set_off()
         k, waited, left, floor = 0, 0, False, self.free
-        while k < len(path) and waited <= AVOIDANCE.patience_steps:
+        while k < len(path) and waited <= AVOIDANCE.patience_steps and not self.turned_away:
             left |= self.aside is not None
             if (left and self.aside is None) or floor is not self.free:  # back from where they had stepped aside to
                 path, k, waited, left, floor = self._path(goal), 0, 0, False, self.free
@@ -293,7 +308,7 @@ class PersonActor:
         strider = Strider(self.free, self.spec, halts=True)
         strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
         waited, left = 0, False
-        while not strider.arrived and waited <= AVOIDANCE.patience_steps:
+        while not strider.arrived and waited <= AVOIDANCE.patience_steps and not self.turned_away:
             left |= self.aside is not None
             if (
                 left and self.aside is None
@@ -337,6 +352,10 @@ class PersonActor:
 
     def _path(self, goal: NDArray) -> NDArray[np.float64]:
         """Way points [N, 2] to a floor point [2]."""
+        if self._goes_around:
+            around = path_around(self.free, self.xz, goal, self.others)
+            if around is not None:
+                return around
         return walking_path(self.free, self.xz, goal, self.spec)[1:]
 
     def _stand(self) -> None:

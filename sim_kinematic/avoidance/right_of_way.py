@@ -48,6 +48,8 @@ class Walker(Body, Protocol):
         """The first of them [2], which costs nothing; None: it is going nowhere."""
         ...
 
+    turned_away: bool
+    """Somebody driven from outside shuts its way: it is to choose anew what to do, and where to stand for it."""
     hindered_by: frozenset[int]
     """Agents that it would have touched in its last step, had it not stopped."""
 
@@ -238,6 +240,7 @@ class RightOfWay:
                 continue
             self._requests.pop(other.number, None)
             stays = AVOIDANCE.refuge_steps if errands[other.number].obeys else math.inf
+            me.turned_away = not errands[other.number].obeys
             self._requests[number] = _Request(other.number, route, stays_steps=stays)
             self._stalled[number] = self._stalled[other.number] = encounter.steps = 0
             encounter.rounds += 1
@@ -285,12 +288,12 @@ class RightOfWay:
         """Whether an agent goes on from its refuge, or from the path to it."""
         other = self._walkers[request.by]
         obeys = self._stand_offs is None or self._stand_offs.errand(other.number).obeys
-        if (
-            not obeys
-            and request.steps % AVOIDANCE.looks_steps == 0
-            and self._gets_around(walker, other, AVOIDANCE.passing_m[0])
-        ):
-            return True
+        if not obeys and request.steps % AVOIDANCE.looks_steps == 0:
+            clear = math.dist(walker.xz, other.xz) >= aside_distance_m(walker, other)  # beside it every way seems open
+            if clear and self._gets_around(walker, other, AVOIDANCE.passing_m[0]):
+                return True
+            stopped = self._still[other.number] - AVOIDANCE.held_up_steps
+            walker.turned_away |= 0 < stopped <= AVOIDANCE.looks_steps  # once where the other stops anew
         if len(request.route):
             return self._stalled[walker.number] > 2 * AVOIDANCE.gives_up_steps
         request.stayed += 1

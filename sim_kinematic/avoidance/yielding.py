@@ -116,6 +116,23 @@ def path_around(
     return None
 
 
+def shut_off(
+    free: FreeSpace,
+    xz: NDArray,
+    places: NDArray,
+    others: Sequence[Seen],
+    *,
+    radius_m: float = AVOIDANCE.person.radius_m,
+) -> NDArray[np.bool_]:
+    """Whether those who stand shut every way from ``xz`` [2] to each of some floor points [N, 2], [N]. ``radius_m`` is one's
+    own."""
+    if not len(places):
+        return np.zeros(0, np.bool_)
+    discs = np.concatenate([np.zeros((0, 3)), *(discs_of(other) for other in others if stands(other))])
+    wide = discs + np.array([0.0, 0.0, radius_m + AVOIDANCE.passing_m[0]])
+    return ~FloorRoutes.of(free).flood(xz, wide).reaches(places)
+
+
 def retreat_place(
     free: FreeSpace, xz: NDArray, others: Sequence[Seen], *, wider_m: float = 0.0
 ) -> NDArray[np.float64] | None:

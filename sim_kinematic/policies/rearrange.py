@@ -68,7 +68,8 @@ def errand(view: RearrangeView, k: int) -> Action:
 @dataclass
 class Planner:
     """A partner who brings its objects to their goals, one after the other, then stands still. It plans once and never
-    aborts, as Habitat's; what is done already or in the other's hands when its turn comes is passed over."""
+    aborts, as Habitat's; what is done already or in the other's hands when its turn comes is passed over. An object that others
+    keep it from getting to (`blocked`) comes last."""
 
     objects: tuple[int, ...]
     _passed: int = 0
@@ -76,9 +77,12 @@ class Planner:
     _tries: int = 0
 
     def act(self, view: RearrangeView) -> Action:
+        done, rest = self.objects[: self._passed], self.objects[self._passed :]
+        blocked = view.last is not None and view.last[:2] == ("failed", "blocked")
+        if rest and blocked and view.held_by[rest[0]] != view.agent:  # who keeps it from there goes away some day
+            self.objects, self._tries = (*done, *rest[1:], rest[0]), 0
         while self._passed < len(self.objects):
             k = self.objects[self._passed]
-            # whom others keep from getting there comes back: they go away some day
             self._tries += view.last is not None and view.last.outcome == "failed" and view.last.reason != "blocked"
             if view.held_by[k] == view.agent or (k in view.left_to_do() and self._tries < 3):
                 return errand(view, k)

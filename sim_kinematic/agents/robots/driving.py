@@ -68,6 +68,7 @@ class RobotDriver:
     """Whether it touches another agent in its present posture: then it stops where it was."""
     yields: bool = True
     aside: NDArray[np.float64] | None = None
+    turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
     """The last command of its base, -1..1 of the limits."""
@@ -90,6 +91,8 @@ class RobotDriver:
         """Rest of a maneuver by which it steps aside."""
         self._start: NDArray | None = None
         self._path: NDArray[np.floating] | Callable[[], NDArray[np.floating]] = NO_PATH
+        self._goes_around = False
+        """Turned away, it goes by ways around who stands, until it gets somewhere."""
         self._gave_up: list[NDArray] = []
         """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
         self._held_up = np.full(3, np.inf), 0
@@ -214,18 +217,20 @@ class RobotDriver:
         """Drives to within a distance of a floor point [2] and, there, turns until the hand points at ``facing`` [2].
 
         The base gives way, backs out of narrow places and goes around whoever stands in its path; it fails, ``stuck``, after
-        `STUCK_STEPS` without getting on.
+        `STUCK_STEPS` without getting on, or, ``blocked``, where it is turned away.
         """
         reach = 0.0 if facing is None else reach_bearing(self.robot)
         bearing = None if facing is None else heading_to(goal, facing, reach)
         best, since, detours = np.inf, 0, 0
-        via = NO_PATH  # around agents that stand in the way
+        via = self._via(goal)  # around agents that stand in the way
         tried, is_near = 0, False
         while since <= STUCK_STEPS:
+            if self.turned_away:
+                return Ending("failed", "blocked")
             if self.aside is not None:
                 self._step_aside()
                 yield
-                best, since, via = np.inf, 0, NO_PATH
+                best, since, via = np.inf, 0, NO_PATH if self.aside is not None else self._via(goal)
                 continue
             if since and since % AVOIDANCE.maneuver_after_steps == 0 and tried < AVOIDANCE.maneuvers:
                 tried += 1
@@ -243,6 +248,7 @@ class RobotDriver:
             left, waypoint = self._leg(via[0] if len(via) else goal)
             stalled = since > AVOIDANCE.detour_after_steps[0]
             if not len(via) and (left <= within_m or (left <= NEARLY_M and (stalled or is_near))):
+                self._goes_around = False
                 if facing is None:
                     return Ending("done")
                 error = self._error_to(facing, reach)
@@ -284,6 +290,11 @@ class RobotDriver:
         discs = np.concatenate([np.zeros((0, 3)), *map(discs_of, self._seen())])
         commands = plan_maneuver(self.free, self.base, self.xz, self.heading, goal, discs, bearing=bearing)
         return [(forward, turn) for forward, turn in commands.tolist()]
+
+    def _via(self, goal: NDArray) -> NDArray:
+        """Points [N, 2] by which it first goes to a floor point [2]: none, unless it was turned away."""
+        detour = self._detour(goal) if self._goes_around else None
+        return NO_PATH if detour is None else detour[:-1]
 
     def _detour(self, goal: NDArray) -> NDArray | None:
         return path_around(

@@ -37,7 +37,7 @@ from sim_kinematic.agents.stands import (
 )
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import is_crowded
-from sim_kinematic.avoidance.yielding import avoided
+from sim_kinematic.avoidance.yielding import avoided, shut_off
 from sim_kinematic.motion.spec import ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import drive_robots
@@ -103,6 +103,8 @@ class RobotActor(RobotDriver):
 
     def start(self, action: Action) -> Skill:
         k = action.target
+        self._goes_around |= self.turned_away
+        self.turned_away = False
         if action.skill in self.learned:
             return self._reach(self.learned[action.skill].start(self, action))
         if action.skill == "nav_to_handle":
@@ -276,11 +278,15 @@ class RobotActor(RobotDriver):
         return nearest
 
     def _crowded(self, stands: Array) -> NDArray[np.integer]:
-        """How close it would be to another agent at each stand, [N]: 1 within the margin, 2 where they would touch."""
+        """How close it would be to another agent at each stand, [N]: 1 within the margin, 2 where they would touch, or where
+        no way leads to it for who was turned away."""
         crowded = np.zeros(len(stands), np.int64)
         for other in avoided([other for other in self.others if not other.steps_aside]):
             for level, margin in ((1, other.margin_m), (2, AVOIDANCE.still_margin_m)):
                 crowded = np.maximum(crowded, is_crowded(self.base, stands, other, margin) * level)
+        if self._goes_around:
+            shut = shut_off(self.free, self.xz, stands[:, :2], self.others, radius_m=self.base.disc_radius_m)
+            crowded = np.maximum(crowded, 2 * shut)
         for place in self._gave_up:
             crowded = np.maximum(crowded, np.hypot(*(stands[:, :2] - place).T) < AVOIDANCE.via_m)
         return crowded

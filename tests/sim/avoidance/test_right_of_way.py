@@ -162,6 +162,7 @@ class Puppet:
     heading: float = 0.0
     path: np.ndarray = field(default_factory=lambda: NO_PATH)
     yields: bool = True
+    turned_away: bool = False
     aside: np.ndarray | None = None
     hindered_by: frozenset[int] = frozenset()
     footprint: Footprint = AVOIDANCE.person

@@ -19,7 +19,7 @@ from sim_kinematic.agents.skills import ALL_SKILLS, Action, Ending
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.stand_offs import Errand
-from sim_kinematic.avoidance.yielding import NO_PATH
+from sim_kinematic.avoidance.yielding import NO_PATH, Seen, shut_off
 from sim_kinematic.policies.rearrange import Planner
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import simulate
@@ -38,6 +38,7 @@ class Figure:
     heading: float = 0.0
     footprint: Footprint = AVOIDANCE.person
     aside: NDArray[np.float64] | None = None
+    turned_away: bool = False
     hindered_by: frozenset[int] = frozenset()
     obeys: bool = True
     completed: int = 0
@@ -140,6 +141,58 @@ def test_who_waits_for_who_is_driven_waits_until_the_way_is_open(rooms: FreeSpac
     assert me.aside is None
 
 
+def test_who_is_turned_away_chooses_anew_wherever_the_other_stops(rooms: FreeSpace) -> None:
+    figures, rules = face_to_face(rooms, asks=False)
+    me, driven = figures
+    driven.obeys, driven.path, driven.xz = False, NO_PATH, np.array([5.25, 2.0])
+    chose: list[int] = []
+    for step in range(200):
+        rules.update()
+        if me.turned_away:
+            chose.append(step)
+        me.turned_away = False
+        me.go()
+        me.path = np.array([me.xz, [9.0, 2.0]])
+        if 100 <= step < 120:  # on, and stops in the doorway again
+            driven.xz = driven.xz + np.array([0.02, 0.0])
+    looks = AVOIDANCE.held_up_steps + AVOIDANCE.looks_steps
+    assert len(chose) == 2
+    assert chose[0] <= looks
+    assert 100 < chose[1] <= 120 + looks
+
+
+def test_nobody_who_parts_from_a_planner_chooses_anew(rooms: FreeSpace) -> None:
+    figures, rules = face_to_face(rooms, asks=False)
+    _, told = far_apart_after(figures, rules, 299)
+    assert any(told)
+    assert not any(figure.turned_away for figure in figures)
+
+
+def test_who_stands_against_whom_they_flee_goes_on_only_from_some_way_off() -> None:
+    """There every way past them seemed open: who fled stopped at once, and stood there."""
+    passage = floor_of(shapely.box(0, 0, 5, 4), shapely.box(4.9, 1.2, 5.6, 2.8), shapely.box(5.5, 0, 10.5, 4))
+    figures, rules = face_to_face(passage, asks=False)
+    me, driven = figures
+    driven.obeys, driven.path, driven.xz, me.xz = False, NO_PATH, np.array([5.25, 2.0]), np.array([4.85, 2.0])
+    flees = False
+    for _ in range(150):
+        me.path = np.array([me.xz, [9.0, 2.0]])
+        rules.update()
+        assert me.aside is not None or not flees
+        flees |= me.aside is not None
+        me.go(0.01)
+    assert flees
+
+
+def test_places_behind_who_stands_in_a_doorway_are_shut_off(rooms: FreeSpace) -> None:
+    stands = Seen(1, np.array([5.25, 2.0]), np.zeros(2), True, False)
+    places = np.array([[2.0, 1.0], [9.0, 2.0]])
+    assert shut_off(rooms, np.array([4.0, 2.0]), places, [stands]).tolist() == [False, True]
+    moves = stands._replace(velocity=np.array([1.0, 0.0]))
+    assert shut_off(rooms, np.array([4.0, 2.0]), places, [moves]).tolist() == [False, False]
+    assert shut_off(rooms, np.array([4.0, 2.0]), places[:0], [stands]).tolist() == []
+
+
 def test_nobody_steps_aside_to_where_the_other_is_about_to_walk(rooms: FreeSpace) -> None:
     """Who stood in a doorway went to meet the one who wanted to get through it: there the nearest place was."""
     comes, stands = np.array([3.4, 2.0]), np.array([5.0, 2.0])
@@ -159,6 +212,19 @@ def test_a_planner_comes_back_to_what_others_kept_it_from() -> None:
         view.last, view.action = Ending("failed", reason), Action("nav_to_object", 0)
         chosen = [planner.act(view) for _ in range(5)]
         assert (chosen[-1].skill == "nav_to_object") == goes_on
+
+
+def test_a_planner_does_first_what_nobody_keeps_it_from() -> None:
+    view: Any = SimpleNamespace(
+        last=None, action=None, held_by=np.array([-1, -1]), agent=1, left_to_do=lambda: [0, 1], barrier=lambda k, at: -1
+    )
+    planner = Planner((0, 1))
+    assert planner.act(view).target == 0
+    for target in (1, 0, 1):
+        view.last = Ending("failed", "blocked")
+        assert planner.act(view).target == target
+    view.held_by[1], view.last = 1, Ending("failed", "blocked")  # in its hand: it can only wait
+    assert planner.act(view) == Action("nav_to_goal", 1)
 
 
 # --- the counter ------------------------------------------------------------------------------------------------------
@@ -214,6 +280,23 @@ def test_a_robot_that_is_driven_into_a_doorway_stops_nobody_for_good(seed: int) 
     """They stood before it for 1177 steps, and gave up what they had to do."""
     recording, _ = standoff.play(seed, driven=True)
     assert standoff.stand_offs(recording, standoff._home(seed % standoff.HOMES)[1]) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "before"), [(36, 1500), (56, 1483)])
+def test_whose_way_a_robot_shuts_takes_another_or_does_something_else(seed: int, before: int) -> None:
+    """They waited, until it left, for the one place at which they wanted to stand."""
+    recording, _ = standoff.play(seed, driven=True)
+    assert recording.episode.info["ended"] == "success"
+    assert len(recording) < before - 50
+    assert standoff.stand_offs(recording, standoff._home(seed % standoff.HOMES)[1]) == []
+
+
+@pytest.mark.slow
+def test_nobody_gets_to_an_object_through_a_wall() -> None:
+    """Less than 1 m from it, but behind a wall, was counted as near enough: the way was said to be open all the time."""
+    recording, _ = standoff.play(77, driven=True)
+    assert standoff.shut_steps(recording, *standoff._home(7)) > 800
 
 
 @pytest.mark.slow
