@@ -63,7 +63,7 @@ $(DEV): $(INSTALLED)
 # kernels of navmeshes, of Habitat's sliding, of pictures for a GPU and the like, which `h3data warmup` leaves to who needs them
 KERNEL_TESTS := tests/habitat/navmesh/test_pathfinder.py tests/sim/motion/test_habitat_slide.py tests/sim/torch/test_cameras.py \
 	tests/pipelines/test_scenes_command.py::test_a_scene_without_floor_does_not_stop_the_others tests/sim/agents/test_oracle.py \
-	tests/scene/freespace/test_free_space.py tests/viewers/hitl/test_wire.py tests/viewers/hitl/test_apps.py
+	tests/scene/freespace/test_free_space.py tests/play/test_wire.py tests/play/test_apps.py
 
 demo: setup  ## simulate, record, render again, measure: out/demo/
 	$(BIN)/h3data demo -o out/demo --force
@@ -88,7 +88,7 @@ test-all: dev  ## the slow ones too, and more examples of each law
 
 test-browser: dev  ### h3data play in Chromium (skipped, and says why, where it is missing), killed, besieged and played by bots
 	$(PYTEST) -m browser -rs
-	$(PYTEST) -m slow -rs tests/viewers/hitl
+	$(PYTEST) -m slow -rs tests/play
 
 test-ray: dev  ### jobs on a Ray cluster of four nodes on this machine, some of which are killed
 	$(PYTEST) -m slow -rs tests/pipelines/test_ray.py
@@ -148,7 +148,7 @@ check-gltf: setup  ### exported animations and scenes pass the Khronos validator
 	npm install --silent --no-save --prefix $(GLTF) gltf-validator@2.0.0-dev.3.10
 	NODE_PATH=$(GLTF)/node_modules node tests/export/gltf_validator/validate.js $(GLTF)/episode.glb `find $(GLTF)/scene -name '*.glb'`
 
-WEB := viewers/h3data_viewers/hitl/web
+WEB := viewers/h3data_play/web
 REPLAY := viewers/h3data_viewers/html_replay/page
 web:  ### the pages of h3data play and of HTML replays, built into the package; needs node 20.19 or newer
 	npm ci --silent --prefix $(WEB)
@@ -157,8 +157,8 @@ web:  ### the pages of h3data play and of HTML replays, built into the package; 
 check-web:  ### the pages' types and tests, and whether the committed builds are those of the committed sources
 	npm ci --silent --prefix $(WEB)
 	npm test --silent --prefix $(WEB)
-	npm run build:play --silent --prefix $(WEB) -- --outDir ../../../../out/web --emptyOutDir --logLevel error
-	npm run build:replay --silent --prefix $(WEB) -- --outDir ../../../../out/replay --emptyOutDir --logLevel error
+	npm run build:play --silent --prefix $(WEB) -- --outDir ../../../out/web --emptyOutDir --logLevel error
+	npm run build:replay --silent --prefix $(WEB) -- --outDir ../../../out/replay --emptyOutDir --logLevel error
 	{ diff -r $(WEB)/dist out/web && diff $(REPLAY)/replay.js out/replay/replay.js && diff $(REPLAY)/replay.css out/replay/replay.css; } \
 		|| { echo "A committed page is not the one that its sources give: run make web and commit."; exit 1; }
 

@@ -33,15 +33,15 @@ from aiohttp import ClientError
 
 from h3data.recording import read_mcap
 from h3data.recording.live_input import slipped_steps
-from h3data_viewers.hitl.bots.client import BUSY, Client
-from h3data_viewers.hitl.bots.participant import DEVICE
-from h3data_viewers.hitl.front import SEATS_PER_ADDRESS
-from h3data_viewers.hitl.messages import PERIOD_S
-from h3data_viewers.hitl.study.design import Design
-from h3data_viewers.hitl.study.files import make_plan
+from h3data_play.front import SEATS_PER_ADDRESS
+from h3data_play.messages import PERIOD_S
+from h3data_studies.bots.client import BUSY, Client
+from h3data_studies.bots.participant import DEVICE
+from h3data_studies.design import Design
+from h3data_studies.files import make_plan
 
 Emit = Callable[[str, float, str], None]
-WEB = Path(importlib.util.find_spec("h3data_viewers.hitl").submodule_search_locations[0]) / "web"  # type: ignore[union-attr, index]
+WEB = Path(importlib.util.find_spec("h3data_play").submodule_search_locations[0]) / "web"  # type: ignore[union-attr, index]
 COUNTS, WARM_S, MEASURED_S, SIEGE_S, WORKERS = (1, 10, 20), 4.0, 15.0, 30.0, 2
 PLANS: dict[str, dict[str, Any]] = {
     "rearrange": {"app": "rearrange", "partner": "complement", "scenes": "small:3"},
@@ -51,14 +51,14 @@ TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 
 
 class Server:
-    """``python -m h3data_viewers.hitl.serve`` in a process of its own."""
+    """``python -m h3data_play.serve`` in a process of its own."""
 
     def __init__(
         self, out: Path, sessions: int = 1, workers: int = 1, options: dict[str, Any] | None = None, **plan: Any
     ) -> None:
         self.out, self.stopped_s = out, 0.0
         out.mkdir(parents=True)
-        command = [sys.executable, "-m", "h3data_viewers.hitl.serve"]
+        command = [sys.executable, "-m", "h3data_play.serve"]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
         whole = {"out": str(out), "episodes": 10 * sessions, **plan}
@@ -283,7 +283,7 @@ async def _attacked(
     end = time.monotonic() + SIEGE_S
     playing = [asyncio.create_task(play(client, k, end)) for k, client in enumerate(players)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    command = [sys.executable, "-m", "tests.viewers.hitl.hostile", *arguments]
+    command = [sys.executable, "-m", "tests.play.hostile", *arguments]
     crowd = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment)
     await asyncio.sleep(1.0)
     for client in players:

@@ -107,7 +107,7 @@ def write_references() -> None:
     for name, about in MODULES.items():
         _write(WRITTEN / "python" / f"{name}.md", _module_page(name, about))
     _write(WRITTEN / "modules.inc", _table("python", MODULES))
-    from h3data_pipelines.command import Group
+    from h3data.commands.command import Group
     from h3data_pipelines.commands.table import COMMANDS
 
     about_commands = {

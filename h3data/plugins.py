@@ -10,16 +10,19 @@ the module (`trust`), so that opening somebody's file never runs Python that lie
 from __future__ import annotations
 
 import importlib.metadata
+import importlib.util
 import json
 import os
 import re
 import shlex
 import sys
+import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import cache, cached_property
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -125,6 +128,25 @@ class Plugin:
         return load_reference(self.value)
 
 
+@cache
+def own_entries(group: str) -> dict[str, str]:
+    """``module:name`` by name of a group's entry points that come with this package, whether their modules are there or not.
+
+    A source tree on PYTHONPATH, which is not installed, has them in its ``pyproject.toml``.
+    """
+    try:
+        points = importlib.metadata.distribution("h3data").entry_points
+    except importlib.metadata.PackageNotFoundError:
+        file = Path(__file__).parents[1] / "pyproject.toml"
+        tables = tomllib.loads(file.read_text("utf-8")) if file.is_file() else {}
+        return dict(tables.get("project", {}).get("entry-points", {}).get(group, {}))
+    return {point.name: point.value for point in points if point.group == group}
+
+
+def _is_there(reference: str) -> bool:
+    return importlib.util.find_spec(reference.partition(".")[0].partition(":")[0]) is not None
+
+
 def load_reference(reference: str) -> Any:
     """The object that ``module:name`` refers to; raises whatever importing its module raises."""
     return EntryPoint("", reference, "").load()
@@ -160,8 +182,25 @@ class Registry(Generic[T]):
         """
         self.group = group
         self.what = what
-        self._built_in = {name: Plugin(name, value) for name, value in built_in.items()}
+        self._table = {name: Plugin(name, value) for name, value in built_in.items()}
         self._check = check
+
+    @cached_property
+    def _built_in(self) -> dict[str, Plugin]:
+        """The entries of the table, then those of the packages that come with this one and are there."""
+        return self._table | {
+            name: Plugin(name, value) for name, value in own_entries(self.group).items() if _is_there(value)
+        }
+
+    @cached_property
+    def _missing(self) -> dict[str, str]:
+        """Why each entry of a package that usually comes with this one cannot be used here."""
+        return {
+            name: f"The {self.what} {name!r} is part of the package {value.partition('.')[0]}, which is not installed "
+            "here. Hint: install h3data as a whole."
+            for name, value in own_entries(self.group).items()
+            if name not in self._table and not _is_there(value)
+        }
 
     def names(self) -> tuple[str, ...]:
         """Names that `get` accepts: built-in ones in the order of their table, then third-party ones from A to Z."""
@@ -184,8 +223,11 @@ class Registry(Generic[T]):
             UntrustedNameError: the name comes from data (`names_from_data`), and the user has not trusted its module.
             PluginError: the third-party object cannot be imported, fails the check, or two packages claim its name.
         """
-        if name in self._built_in:
-            return self._built_in[name].load()
+        built_in = self._built_in
+        if name in built_in:
+            return built_in[name].load()
+        if name in self._missing:
+            raise InputError(self._missing[name])
         claims = self._third_party().get(name, [])
         if len(claims) > 1:
             raise PluginError(self._conflict(name, claims))
@@ -228,6 +270,8 @@ class Registry(Generic[T]):
         claims: dict[str, list[Plugin]] = {}
         for point in importlib.metadata.entry_points(group=self.group):
             package = f"{point.dist.name} {point.dist.version}" if point.dist is not None else "an unnamed package"
+            if point.dist is not None and point.dist.name == "h3data":
+                continue  # built in
             if point.dist is not None and _is_working_directory(str(Path(str(point.dist.locate_file(""))))):
                 continue  # came with data, perhaps: a package counts as installed where Python installs packages
             built_in = self._built_in.get(point.name)

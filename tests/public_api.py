@@ -131,9 +131,9 @@ def _value(value: Any) -> str:
 
 
 def _commands() -> Iterator[str]:
-    from h3data_pipelines.command import Group
+    from h3data.commands.command import Group
+    from h3data.commands.options import options_of
     from h3data_pipelines.commands.table import COMMANDS
-    from h3data_pipelines.options import options_of
 
     for name, command in sorted(COMMANDS.items()):
         parts = command.commands if isinstance(command, Group) else {"": command}

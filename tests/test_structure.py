@@ -14,12 +14,22 @@ PACKAGES = {
     "h3data": ROOT / "h3data",
     "sim_kinematic": ROOT / "sim_kinematic",
     "h3data_viewers": ROOT / "viewers" / "h3data_viewers",
+    "h3data_play": ROOT / "viewers" / "h3data_play",
+    "h3data_studies": ROOT / "viewers" / "h3data_studies",
     "h3data_training": ROOT / "pipelines" / "h3data_training",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
     "bake": ROOT / "pipelines" / "bake",
 }
-LAYERS = ("h3data", "sim_kinematic", "h3data_viewers", "h3data_training", "h3data_pipelines")
+LAYERS = (
+    "h3data",
+    "sim_kinematic",
+    "h3data_viewers",
+    "h3data_play",
+    "h3data_studies",
+    "h3data_training",
+    "h3data_pipelines",
+)
 """Packages from the lowest to the highest."""
 AGAINST_THE_LAYERS = {
     "h3data": ["h3data_pipelines.api", "sim_kinematic.tasks.sessions"],
@@ -41,11 +51,11 @@ AGAINST_THE_LAYERS = {
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.recording.records": ["h3data_viewers.notebook"],
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
-    "h3data_viewers.hitl.app": [
-        "h3data_viewers.hitl.apps.rearrange",
-        "h3data_viewers.hitl.apps.social_nav",
-        "h3data_viewers.hitl.apps.teleop",
-        "h3data_viewers.hitl.apps.tutorial",
+    "h3data_play.app": [
+        "h3data_play.apps.rearrange",
+        "h3data_play.apps.social_nav",
+        "h3data_play.apps.teleop",
+        "h3data_play.apps.tutorial",
     ],
     "sim_kinematic.tasks.registry": ["sim_kinematic.tasks.rearrange.task"],
 }

@@ -73,7 +73,7 @@ class ExportRequest:
     people: Any = "skin"
     """How people are shown, a `h3data.bodies.people.rigid_parts.PeopleStyle`."""
     stand_ins: bool = False
-    """Whether plain things stand in for missing assets, as in `h3data.replay.PosedRecording`."""
+    """Whether plain things stand in for missing assets, as in `h3data.replay.posed_recording.PosedRecording`."""
     cameras: Sequence[str] = ()
     """Cameras to render, by name or file."""
     stored_cameras: Sequence[str] = ()

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from h3data.commands.command import open_episode
 from h3data.progress import progress
 from h3data.render import depth_to_rgb
 from h3data.replay import Replay, camera_track
-from h3data_pipelines.command import open_episode
 from h3data_pipelines.pictures.rendering import draw_trajectories
 
 SIZE = (832, 468)

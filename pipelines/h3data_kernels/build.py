@@ -35,7 +35,7 @@ SESSIONS: dict[str, tuple[str, ...]] = {
         "h3data doctor",
         "h3data warmup",
     ),
-    "live play": ("python -m pytest -q -p no:cacheprovider -m slow tests/viewers/hitl/test_live.py -k rehearsal",),
+    "live play": ("python -m pytest -q -p no:cacheprovider -m slow tests/play/test_live.py -k rehearsal",),
 }
 """What users run, by what progress calls it. ``{scratch}`` is a folder of the session; everything runs in the checkout."""
 

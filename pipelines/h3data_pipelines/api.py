@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
+from h3data.commands.command import Command, WalkOption
 from h3data.recording.storage import RemotePath
 from h3data.render.light.sources import LightMode
-from h3data_pipelines.command import Command, WalkOption
 
 if TYPE_CHECKING:
     from h3data_pipelines.jobs.evaluation_runs import EvaluationResult
@@ -332,8 +332,8 @@ def sync(source: AnyPath, target: AnyPath, *, quick: bool = False, force: bool =
 
 def _result(command: type[Command], options: dict[str, Any], *, several: tuple[str, ...] = ()) -> Any:
     """Runs a command with options as Python has them: paths as text, lists instead of tuples, one path for several."""
+    from h3data.commands.options import check_value, in_python_words, options_of
     from h3data.errors import H3DataError, InputError
-    from h3data_pipelines.options import check_value, in_python_words, options_of
 
     values: dict[str, Any] = {}
     for option in options_of(command):

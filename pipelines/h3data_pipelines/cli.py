@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from h3data.terminal import printable
 
 if TYPE_CHECKING:
-    from h3data_pipelines.command import Command
+    from h3data.commands.command import Command
 
 ABOUT = """Simulate people and robots sharing a home, record everything, and render, measure and inspect it again."""
 
@@ -47,10 +47,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(args: list[str]) -> int:
+    from h3data.commands.options import in_shell_words
     from h3data.errors import H3DataError  # here, so that Ctrl-C during these slow imports is caught too
     from h3data.recording.storage import masked
     from h3data_pipelines.commands.table import COMMANDS
-    from h3data_pipelines.options import in_shell_words
     from h3data_pipelines.parsing import parse
 
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)

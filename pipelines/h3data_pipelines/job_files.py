@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from h3data.commands.options import Option
 from h3data.errors import InputError, suggest
-from h3data_pipelines.options import Option
 
 
 def read_job_file(path: Path, options: Sequence[Option]) -> dict[str, Any]:

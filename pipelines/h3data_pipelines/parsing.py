@@ -18,11 +18,11 @@ from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin, get_
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from h3data.commands.command import Command, Group, NameOf
+from h3data.commands.options import KINDS, Option, Repeatable, options_of, read_value
 from h3data.errors import InputError, did_you_mean, suggest
 from h3data.plugins import own_version, trust
-from h3data_pipelines.command import Command, Group, NameOf
 from h3data_pipelines.job_files import read_job_file
-from h3data_pipelines.options import KINDS, Option, Repeatable, options_of, read_value
 
 _CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
 _SILENT = ("None", "False", "", "''")

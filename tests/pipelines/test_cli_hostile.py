@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 import h3data
+from h3data.commands import command as command_parts
+from h3data.commands.command import claim_folder, remove_dataset, unfinished_dataset, uninterrupted
 from h3data.errors import InputError
 from h3data.recording import (
     Agent,
@@ -28,9 +30,7 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.recording.mcap import part as mcap_part
-from h3data_pipelines import command as command_parts
 from h3data_pipelines.cli import main
-from h3data_pipelines.command import claim_folder, remove_dataset, unfinished_dataset, uninterrupted
 from h3data_pipelines.commands import generate
 from h3data_pipelines.jobs import running as episode_jobs
 from h3data_pipelines.jobs.generated import require_same_options

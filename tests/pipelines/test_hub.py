@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 import h3data
+from h3data.commands.options import command_line
 from h3data.errors import FormatError, InputError
 from h3data.recording import Dataset, DatasetWriter, recordings_equal
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.hub.card import AGENT_COUNTS, _things_in, card_picture
 from h3data_pipelines.hub.checksums import require_checksums
-from h3data_pipelines.hub.provenance import command_line, read_commands
+from h3data_pipelines.hub.provenance import read_commands
 from tests.hub_server import READER, WRITER, Hub, served
 from tests.recording.strategies import simple_recording
 

@@ -13,9 +13,10 @@ from typing import Any, get_args
 
 import pytest
 
+from h3data.commands.command import Group, WalkOption
+from h3data.commands.options import in_python_words, in_shell_words, options_of
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
-from h3data_pipelines.command import Group, WalkOption
 from h3data_pipelines.commands import demo
 from h3data_pipelines.commands.converting import Convert
 from h3data_pipelines.commands.exporting import Export
@@ -24,7 +25,6 @@ from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.commands.table import COMMANDS
 from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
-from h3data_pipelines.options import in_python_words, in_shell_words, options_of
 from h3data_pipelines.parsing import parse
 from h3data_pipelines.pictures.viewing import View
 from sim_kinematic.motion.spec import WALKERS

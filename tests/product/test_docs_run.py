@@ -39,9 +39,9 @@ NOT_RUN = {
     "extending.md": "test_extending.py runs it",
     "gpu.md": "needs a CUDA device; tests marked gpu run its calls",
     "index.md": "shows commands of README",
-    "headset.md": "needs a headset; tests/viewers/hitl/test_browser.py plays in an emulated one",
-    "play.md": "its commands wait for players; tests/viewers/hitl plays them",
-    "study.md": "its commands wait for participants; tests/viewers/hitl/studies takes part",
+    "headset.md": "needs a headset; tests/play/test_browser.py plays in an emulated one",
+    "play.md": "its commands wait for players; tests/play plays them",
+    "study.md": "its commands wait for participants; tests/studies takes part",
 }
 OPEN = 'import h3data\nrecording = h3data.open("episode.mcap")\n'
 BODY = 'from h3data.bodies import load_humanoid\nbody = load_humanoid("male_1")\nimport numpy as np\ndistance = 0.4\n'
@@ -50,7 +50,7 @@ ABSENT = {
     "replica_cad": "ReplicaCAD",
     "s3://": "a bucket; tests/recording and tests/pipelines use a stand-in",
     "--executor ray": "a Ray cluster; tests/pipelines/test_ray.py has one",
-    "h3data play": "waits for players; tests/viewers/hitl plays it",
+    "h3data play": "waits for players; tests/play plays it",
     "bodies bake": "the extra bodies",
     "import supersuit": "SuperSuit; tests/sim/envs wraps environments by it where it is installed",
     "flat.navmesh": "a navmesh of Habitat; tests/habitat/navmesh runs these calls",

@@ -9,12 +9,12 @@ import pytest
 
 from h3data import plugins
 from h3data.bodies import load_robot
+from h3data.commands.command import Group
 from h3data.errors import H3DataError, PluginError, UntrustedNameError
 from h3data.metrics.registry import find_profile, profile_for, profiles_named
 from h3data.recording import DatasetWriter, write_mcap
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
-from h3data_pipelines.command import Group
 from h3data_pipelines.commands.table import COMMANDS
 from sim_kinematic.policies.assignment import plugin_policies
 from sim_kinematic.tasks.registry import _find, find_task

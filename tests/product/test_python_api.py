@@ -18,10 +18,11 @@ import numpy as np
 import pytest
 
 import h3data
+from h3data.commands.command import Command
+from h3data.commands.options import options_of
 from h3data.errors import InputError
 from h3data.recording import write_mcap
 from h3data_pipelines import api
-from h3data_pipelines.command import Command
 from h3data_pipelines.commands.evaluating import Evaluate
 from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.generate import Generate
@@ -30,7 +31,6 @@ from h3data_pipelines.hub.card import Card
 from h3data_pipelines.hub.pulling import Pull
 from h3data_pipelines.hub.pushing import Push
 from h3data_pipelines.hub.syncing import Sync
-from h3data_pipelines.options import options_of
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.paths import DOCS
-from tests.viewers.hitl.test_browser import CHROMIUM, WEB, missing_browser
+from tests.play.test_browser import CHROMIUM, WEB, missing_browser
 
 pytest.importorskip("sphinx", reason="needs the extra docs")
 _MISSING = missing_browser()

@@ -57,6 +57,8 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         "h3data_pipelines",
         "h3data_training",
         "h3data_viewers",
+        "h3data_play",
+        "h3data_studies",
     }
     assert "h3data/_datasets/bodies/female_0.npz" in names
     assert {f"h3data/_datasets/h3-homes/{f}" for f in ("train.toml", "val.toml", "test.toml", "README.md")} <= set(
@@ -71,7 +73,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
     }
     pages -= {"index.md", "changes.md", "gallery.md"}
     assert {name.partition("/_docs/")[2] for name in names if "/_docs/" in name} == pages
-    page = {name.rpartition("/hitl/web/")[2] for name in names if "/hitl/web/" in name}
+    page = {name.rpartition("/h3data_play/web/")[2] for name in names if "/h3data_play/web/" in name}
     assert "dist/index.html" in page
     assert all(name.startswith("dist/") for name in page), page
     assert not any(name.endswith((".pyc", ".nbi", ".nbc")) for name in names)

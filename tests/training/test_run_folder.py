@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from h3data.errors import InputError
-from h3data_pipelines.learning.folders import run_folder
+from h3data_training.commands.folders import run_folder
 
 RUN = ("checkpoint.pt", "policy.npz", "partner_0.npz", "curve.parquet", "episodes.npz", "tensorboard/events")
 

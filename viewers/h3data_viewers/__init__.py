@@ -1,7 +1,6 @@
-"""Viewers of recordings: Rerun files (`rerun`), HTML replays (`html_replay`) and the HTML report (`html_report`); and worlds
-that people play in live in a browser (`hitl`).
+"""Viewers of recordings: Rerun files (`rerun`), HTML replays (`html_replay`) and the HTML report (`html_report`).
 
-Everything is imported at first use: the server of `hitl` must stay small.
+Everything is imported at first use.
 """
 
 from __future__ import annotations

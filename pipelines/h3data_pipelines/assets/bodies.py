@@ -10,8 +10,8 @@ import numpy as np
 import tyro
 
 from h3data.bodies import Humanoid, humanoid_names, load_humanoid
+from h3data.commands.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 from h3data.errors import InputError
-from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 
 HEADINGS_DEG = {"front": -90.0, "back": 90.0, "side": 0.0}
 

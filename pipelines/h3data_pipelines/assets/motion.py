@@ -15,9 +15,9 @@ from h3data.bodies.motion.motion_clip import Motion
 from h3data.bodies.motion.motion_cycle import trim_to_cycle
 from h3data.bodies.motion.motion_files import SUFFIXES, MotionKind, ReadOptions, motion_kind, read_motion, save_motion
 from h3data.bodies.motion.motion_retarget import foot_report, retarget
+from h3data.commands.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.progress import progress
-from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 
 KindChoice = Annotated[
     Literal["auto", "motion", "amass", "habitat", "bvh"],

@@ -14,8 +14,8 @@ import tyro
 from h3data.bodies import Robot, guess_robot_settings, load_robot, robot_names, solve_ik
 from h3data.bodies.robots.robot_files import SETTINGS_NAME
 from h3data.bodies.robots.robot_settings import encode_settings
+from h3data.commands.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 from h3data.errors import H3DataError, InputError
-from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 
 log = logging.getLogger(__name__)
 

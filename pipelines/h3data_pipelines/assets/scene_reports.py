@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from h3data.commands.command import Outcome
 from h3data.errors import InputError, MissingAssetError, SceneError
 from h3data.habitat.scene_names import NamedScene, open_scene
 from h3data.scene import HOME_PRESETS, FreeSpace, Scene
 from h3data.scene.homes import HOME_NAMES
 from h3data.scene.scene_sets import SceneFile, SceneSource, builtin_sets, find_scene_set
-from h3data_pipelines.command import Outcome
 
 if TYPE_CHECKING:
     from h3data.scene.validation import Problem

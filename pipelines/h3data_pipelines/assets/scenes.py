@@ -13,6 +13,16 @@ import msgspec
 import numpy as np
 import tyro
 
+from h3data.commands.command import (
+    AssetsOption,
+    ForceFlag,
+    Group,
+    JsonFlag,
+    MissingFlag,
+    Outcome,
+    StrictFlag,
+    claim_file,
+)
 from h3data.errors import InputError, SceneError
 from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RigidObject
 from h3data.habitat.scene_names import NamedScene, named_scenes, open_free_space, open_scene
@@ -31,16 +41,6 @@ from h3data_pipelines.assets.scene_reports import (
     short_name,
     text_table,
     validate_scene,
-)
-from h3data_pipelines.command import (
-    AssetsOption,
-    ForceFlag,
-    Group,
-    JsonFlag,
-    MissingFlag,
-    Outcome,
-    StrictFlag,
-    claim_file,
 )
 
 _PARKED_M = 5.0

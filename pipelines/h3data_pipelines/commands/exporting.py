@@ -11,14 +11,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from h3data.errors import InputError
-from h3data.formats import ExportRequest, Format, PersonDetail, export_format, export_options, load
-from h3data.progress import progress
-from h3data.recording import Recording
-from h3data.recording.episodes import StoredEpisode, common_cameras
-from h3data.recording.finding import find_episodes
-from h3data.recording.storage import place
-from h3data_pipelines.command import (
+from h3data.commands.command import (
     BackendOption,
     ForceFlag,
     JsonFlag,
@@ -32,8 +25,16 @@ from h3data_pipelines.command import (
     open_episode,
     remove_dataset,
 )
+from h3data.commands.options import command_line
+from h3data.errors import InputError
+from h3data.formats import ExportRequest, Format, PersonDetail, export_format, export_options, load
+from h3data.progress import progress
+from h3data.recording import Recording
+from h3data.recording.episodes import StoredEpisode, common_cameras
+from h3data.recording.finding import find_episodes
+from h3data.recording.storage import place
 from h3data_pipelines.execution.processes import core_count
-from h3data_pipelines.hub.provenance import command_line, read_commands, write_commands
+from h3data_pipelines.hub.provenance import read_commands, write_commands
 
 log = logging.getLogger(__name__)
 

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import tyro
 
+from h3data.commands.command import ForceFlag, JsonFlag, Outcome
 from h3data.pseudonyms import participant_key_path
 from h3data_pipelines.assets.scene_reports import text_table
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome
 from h3data_pipelines.jobs.imports import ImportResult, import_files
 
 

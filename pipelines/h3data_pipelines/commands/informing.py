@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tyro
 
+from h3data.commands.command import JsonFlag, Outcome
 from h3data.errors import H3DataError, InputError
 from h3data.recording.finding import find_episodes
 from h3data.recording.records import JOINTS
 from h3data.recording.storage import AnyPath, place
 from h3data.terminal import counted
-from h3data_pipelines.command import JsonFlag, Outcome
 
 if TYPE_CHECKING:
     from h3data.recording import Dataset, Recording

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
 from h3data.errors import InputError
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.execution.processes import core_count
 
@@ -115,9 +115,9 @@ class Metrics:
             yield {"spread": partial(executor.run, lost=lost_part)}
 
     def _compare(self) -> Outcome:
+        from h3data.commands.command import write_text
         from h3data.metrics.batch import measure_files
         from h3data.metrics.differences import compare_tables
-        from h3data_pipelines.command import write_text
 
         if len(self.recordings) != 2:
             raise InputError(

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_file
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import tyro
 
+from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.finding import find_episodes
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import pyarrow as pa
 import tyro
 
+from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_file
 from h3data.errors import InputError, MissingExtraError
 from h3data.files import part_file
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
 
 if TYPE_CHECKING:
     import duckdb

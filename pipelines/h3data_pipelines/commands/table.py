@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from h3data.commands.command import Command, Group
+from h3data.plugins import Registry
 from h3data_pipelines.assets.bodies import BODIES
 from h3data_pipelines.assets.motion import MOTION
 from h3data_pipelines.assets.robots import ROBOTS
 from h3data_pipelines.assets.scenes import SCENES
-from h3data_pipelines.command import Command, Group
 from h3data_pipelines.commands.converting import Convert
 from h3data_pipelines.commands.demo import Demo
 from h3data_pipelines.commands.evaluating import Evaluate
@@ -15,7 +16,6 @@ from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.commands.informing import Info
 from h3data_pipelines.commands.measuring import Metrics
-from h3data_pipelines.commands.playing import Play
 from h3data_pipelines.commands.recovering import Recover
 from h3data_pipelines.commands.replaying import ReplayCommand
 from h3data_pipelines.commands.sql import Sql
@@ -24,7 +24,6 @@ from h3data_pipelines.hub.card import Card
 from h3data_pipelines.hub.pulling import Pull
 from h3data_pipelines.hub.pushing import Push
 from h3data_pipelines.hub.syncing import Sync
-from h3data_pipelines.learning.training import Train
 from h3data_pipelines.machine.bench import Bench
 from h3data_pipelines.machine.caches import CACHE
 from h3data_pipelines.machine.completion import Completion
@@ -35,14 +34,47 @@ from h3data_pipelines.machine.warmup import Warmup
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View
-from h3data_pipelines.studies.group import STUDY
 
-COMMANDS: dict[str, type[Command] | Group] = {
+ORDER = (
+    "demo",
+    "generate",
+    "evaluate",
+    "train",
+    "play",
+    "import",
+    "export",
+    "rerender",
+    "info",
+    "metrics",
+    "sql",
+    "view",
+    "report",
+    "study",
+    "scenes",
+    "bodies",
+    "motion",
+    "robots",
+    "replay",
+    "convert",
+    "card",
+    "push",
+    "pull",
+    "sync",
+    "validate",
+    "recover",
+    "docs",
+    "doctor",
+    "cache",
+    "warmup",
+    "bench",
+    "plan",
+    "completion",
+)
+"""Names as help lists them; those of other packages follow."""
+BUILT_IN: dict[str, type[Command] | Group] = {
     "demo": Demo,
     "generate": Generate,
     "evaluate": Evaluate,
-    "train": Train,
-    "play": Play,
     "import": Import,
     "export": Export,
     "rerender": Rerender,
@@ -51,7 +83,6 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "sql": Sql,
     "view": View,
     "report": ReportCommand,
-    "study": STUDY,
     "scenes": SCENES,
     "bodies": BODIES,
     "motion": MOTION,
@@ -72,4 +103,12 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "plan": Plan,
     "completion": Completion,
 }
+REGISTRY: Registry[type[Command] | Group] = Registry("h3data.commands", BUILT_IN, what="command")
+
+
+_FOUND = REGISTRY.load_all()
+COMMANDS: dict[str, type[Command] | Group] = {
+    name: _FOUND[name] for name in (*(n for n in ORDER if n in _FOUND), *sorted(_FOUND.keys() - set(ORDER)))
+}
+"""Every command by name: the built-in ones, and those that packages register as entry points of ``h3data.commands``."""
 Completion.commands = COMMANDS

@@ -14,10 +14,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from h3data.commands.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, write_text
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.storage import local
-from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, write_text
 from h3data_pipelines.hub.provenance import read_commands
 
 if TYPE_CHECKING:

@@ -10,12 +10,12 @@ from typing import Any
 
 import tyro
 
+from h3data.commands.command import JsonFlag, Outcome, keeping
 from h3data.errors import InputError
 from h3data.files import size_text
 from h3data.progress import progress
 from h3data.recording.storage import local
 from h3data.terminal import counted
-from h3data_pipelines.command import JsonFlag, Outcome, keeping
 from h3data_pipelines.hub.card import CARD, PICTURE, write_card
 from h3data_pipelines.hub.checksums import FILE as CHECKSUMS
 from h3data_pipelines.hub.checksums import PARTS, checksums_of, files_of, to_json

@@ -11,13 +11,13 @@ from typing import Annotated, Any
 
 import tyro
 
+from h3data.commands.command import DryRunFlag, JsonFlag, Outcome, keeping
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file, size_text
 from h3data.progress import progress
 from h3data.recording.parquet.files import is_dataset, write_atomic
 from h3data.recording.storage import AnyPath, RemotePath, open_binary, place, sizes_below
 from h3data.terminal import counted
-from h3data_pipelines.command import DryRunFlag, JsonFlag, Outcome, keeping
 
 _THREADS = 8
 _BLOCK = 1 << 20

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from h3data.commands.command import write_text
 from h3data.errors import InputError
 from h3data.plugins import own_version
 from h3data.replay import CameraTrack, Replay
-from h3data_pipelines.command import write_text
 from h3data_pipelines.outputs import Target
 
 

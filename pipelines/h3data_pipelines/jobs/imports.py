@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
+from h3data.commands.command import claim_file, keeping
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
 from h3data.habitat.asset_library import AssetLibrary
@@ -15,7 +16,6 @@ from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.terminal import counted
-from h3data_pipelines.command import claim_file, keeping
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import tyro
 
+from h3data.commands.command import JsonFlag, Outcome
 from h3data.errors import InputError
 from h3data.progress import progress
-from h3data_pipelines.command import JsonFlag, Outcome
 
 if TYPE_CHECKING:
     from h3data_pipelines.benchmark.protocol import Cell, Run

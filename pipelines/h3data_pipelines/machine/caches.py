@@ -9,10 +9,10 @@ from typing import Any
 
 import tyro
 
+from h3data.commands.command import Group, JsonFlag, Outcome
 from h3data.errors import InputError, suggest
 from h3data.files import cache_folder, size_text
 from h3data.terminal import counted
-from h3data_pipelines.command import Group, JsonFlag, Outcome
 
 KINDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "kernels": ("functions compiled on this machine", (".nbi", ".nbc", ".lock")),

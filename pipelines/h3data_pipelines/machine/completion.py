@@ -11,8 +11,8 @@ from typing import Any, ClassVar, Literal, get_args, get_origin
 import shtab
 import tyro
 
-from h3data_pipelines.command import Command, Group, JsonFlag, Outcome
-from h3data_pipelines.options import options_of
+from h3data.commands.command import Command, Group, JsonFlag, Outcome
+from h3data.commands.options import options_of
 
 
 @dataclass(frozen=True)

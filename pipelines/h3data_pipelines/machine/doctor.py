@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from h3data.commands.command import JsonFlag, Outcome
 from h3data.files import cache_folder, size_text
-from h3data_pipelines.command import JsonFlag, Outcome
 from h3data_pipelines.machine.caches import cache_lines, find_caches
 
 CPU_TORCH = "pip install --force-reinstall torch --index-url https://download.pytorch.org/whl/cpu"

@@ -12,9 +12,9 @@ from pathlib import Path
 import tyro
 
 from h3data.builtin import pages_root
+from h3data.commands.command import JsonFlag, Outcome
 from h3data.errors import InputError, suggest
 from h3data.terminal import aligned
-from h3data_pipelines.command import JsonFlag, Outcome
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any
 
 import tyro
 
+from h3data.commands.command import JsonFlag, Outcome
 from h3data.errors import InputError
-from h3data_pipelines.command import JsonFlag, Outcome
 from h3data_pipelines.machine.costs import FRAMES, Costs, measure_costs
 from h3data_pipelines.machine.schedule import Workload, simulate_schedule
 

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from h3data.commands.command import JsonFlag, Outcome
 from h3data.errors import H3DataError
 from h3data.kernels import compiled_count, compiled_files, shipped
 from h3data.progress import QUIET, is_quiet
 from h3data.terminal import counted
-from h3data_pipelines.command import JsonFlag, Outcome
 from h3data_pipelines.execution.processes import core_count
 
 

@@ -10,21 +10,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from h3data.errors import InputError
-from h3data_pipelines.command import (
+from h3data.commands.command import (
+    FailedOption,
     ForceFlag,
     JsonFlag,
     LightOption,
     Outcome,
     PeopleOption,
     StandInsFlag,
+    StepsModelOption,
     claim_file,
     write_text,
 )
+from h3data.commands.options import command_line
+from h3data.errors import InputError
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
-from h3data_pipelines.hub.provenance import command_line
 from h3data_pipelines.jobs.table_cells import or_none
-from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 
 if TYPE_CHECKING:
     from h3data_viewers.html_report.report import Report

@@ -15,14 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from h3data.errors import H3DataError, InputError
-from h3data.progress import progress
-from h3data.recording.finding import find_episodes
-from h3data.recording.parquet.files import is_dataset
-from h3data.recording.storage import local, place
-from h3data.replay import CameraTrack, Replay, camera_track
-from h3data.terminal import counted
-from h3data_pipelines.command import (
+from h3data.commands.command import (
     BackendOption,
     DryRunFlag,
     ForceFlag,
@@ -35,6 +28,13 @@ from h3data_pipelines.command import (
     keeping,
     open_episode,
 )
+from h3data.errors import H3DataError, InputError
+from h3data.progress import progress
+from h3data.recording.finding import find_episodes
+from h3data.recording.parquet.files import is_dataset
+from h3data.recording.storage import local, place
+from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.terminal import counted
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.jobs.camera_log import CameraLog

@@ -13,13 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from h3data.errors import InputError
-from h3data.files import size_text
-from h3data.recording import Recording
-from h3data.recording.storage import RemotePath, place
-from h3data.render.light.sources import LightMode
-from h3data.replay import Replay
-from h3data_pipelines.command import (
+from h3data.commands.command import (
     ForceFlag,
     JsonFlag,
     LightOption,
@@ -29,6 +23,12 @@ from h3data_pipelines.command import (
     claim_file,
     open_episode,
 )
+from h3data.errors import InputError
+from h3data.files import size_text
+from h3data.recording import Recording
+from h3data.recording.storage import RemotePath, place
+from h3data.render.light.sources import LightMode
+from h3data.replay import Replay
 from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.pictures.rerender import missing_lines
 

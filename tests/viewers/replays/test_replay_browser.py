@@ -13,7 +13,7 @@ import pytest
 
 from h3data.recording import Recording
 from h3data_viewers.html_replay.html_file import write_html
-from tests.viewers.hitl.test_browser import CHROMIUM, PLAYER_S, WEB, missing_browser
+from tests.play.test_browser import CHROMIUM, PLAYER_S, WEB, missing_browser
 from tests.viewers.replays.test_html_replay import hostile, tidied, walk
 
 __all__ = ["hostile", "tidied", "walk"]

@@ -15,9 +15,9 @@ from h3data.geometry import Array, heading_from_quat, quat_sign_continuous
 from h3data.progress import progress
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
+from h3data.replay.rigs import joint_rigs, robot_rig
 from h3data.scene.articulation import posed
 from h3data_viewers.html_replay.packing import Payload
-from h3data_viewers.rigs import joint_rigs, robot_rig
 
 POSITION_M, HEADING_RAD, JOINT, ROTATION = 5e-4, 5e-4, 2e-4, 1e-3
 """Steps of what is stored: of positions, headings, joints [rad or m] and components of quaternions. Live play

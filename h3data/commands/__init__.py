@@ -1,0 +1,1 @@
+"""What commands are made of: options, results, care with output files."""

@@ -1,0 +1,257 @@
+"""Shared parts of all commands: their result, common options, and care with output folders."""
+
+from __future__ import annotations
+
+import re
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import Annotated, Any, Literal, Protocol, TypeVar
+
+import tyro
+
+from h3data.bodies.people.rigid_parts import PeopleStyle
+from h3data.errors import H3DataError, InputError
+from h3data.files import part_file
+from h3data.recording import Recording
+from h3data.recording.storage import AnyPath, RemotePath, local, remove_tree
+from h3data.render.light.sources import LightMode
+from h3data.terminal import counted
+
+P = TypeVar("P", Path, RemotePath, AnyPath)
+JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
+ForceFlag = Annotated[bool, tyro.conf.arg(help="Overwrite existing output.")]
+AssetsOption = Annotated[
+    tuple[Path, ...],
+    tyro.conf.arg(help="More folders to search for a Habitat scene's files (default: H3DATA_ASSETS)."),
+]
+DryRunFlag = Annotated[bool, tyro.conf.arg(help="Print what would be done, and do nothing.")]
+PeopleOption = Annotated[
+    PeopleStyle, tyro.conf.arg(help="How people are shown: as skin, as collision capsules, or as bones.")
+]
+StandInsFlag = Annotated[
+    bool,
+    tyro.conf.arg(
+        help="Draw built-in robots and people in the recorded postures, and boxes with names, for assets that are not found, "
+        "instead of striped shapes."
+    ),
+]
+LightOption = Annotated[
+    LightMode,
+    tyro.conf.arg(help="Light in pictures: baked, from windows, sun and lamps; or flat, the same everywhere."),
+]
+BackendOption = Annotated[
+    Literal["auto", "cpu", "gpu"],
+    tyro.conf.arg(help="Who draws: cpu; gpu, whose pictures differ in few pixels; or auto, a GPU if there is one."),
+]
+WalkOption = Literal["paper", "natural"]
+StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
+MissingFlag = Annotated[
+    bool, tyro.conf.arg(help="Leave out objects of a Habitat scene whose files are missing, with a warning.")
+]
+StepsModelOption = Annotated[
+    Literal["auto", "poisson", "observation"],
+    tyro.conf.arg(
+        help="Model of the steps of a study: the paper's Poisson model, one with an observation effect, or auto: the paper's "
+        "unless the steps vary more than it allows. A model that is not sound is never shown alone."
+    ),
+]
+FailedOption = Annotated[
+    Literal["leave-out", "limit"],
+    tyro.conf.arg(help="Episodes without success: leave them out of the steps, or count the longest duration."),
+]
+ShareScenesFlag = Annotated[
+    bool,
+    tyro.conf.arg(
+        help="Store each scene once for all .mcap files of the output folder, in its h3/files, instead of in each of them."
+    ),
+]
+
+
+@dataclass(frozen=True)
+class NameOf:
+    """Marks a text option that names an entry of a registry: its help lists the names, those of plug-ins included."""
+
+    names: Callable[[], Iterable[str]]
+    """Asked only when the command is chosen: finding plug-ins takes some milliseconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """Result of a command: text for people, data for machines."""
+
+    text: str
+    data: dict[str, Any] = field(default_factory=dict)
+    result: Any = None
+    """The same for Python (`h3data_pipelines.api`)."""
+    exit_code: int = 0
+    """0 done, 1 done but failures are listed."""
+
+
+class Command(Protocol):
+    """A command: a dataclass of its options with a method that runs it."""
+
+    @property
+    def json(self) -> bool: ...
+
+    def run(self) -> Outcome: ...
+
+
+@dataclass(frozen=True)
+class Group:
+    """Commands that share a first word, such as ``h3data scenes list`` and ``h3data scenes show``."""
+
+    about: str
+    commands: Mapping[str, type[Command]]
+
+
+def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str) -> P:
+    """Creates an output folder; an `InputError` if it already has contents, unless ``force``. Object stores need no folders.
+
+    ``unfinished`` says of contents what there is to go on with by ``--resume``; nothing if the text is empty.
+    """
+    if isinstance(folder, Path):
+        local(folder)
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"The output folder is a file. Choose another with -o: {folder}")
+    if not force and (isinstance(folder, RemotePath) or folder.is_dir()) and any(folder.iterdir()):
+        if held := unfinished():
+            raise InputError(
+                f"The output folder holds {held}. --resume goes on with the same options, --force replaces it; or choose "
+                f"another -o: {folder}"
+            )
+        raise InputError(f"The output folder is not empty. Use --force to overwrite, or another -o: {folder}")
+    if isinstance(folder, RemotePath):
+        return folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"Cannot create the output folder ({error.strerror}): {folder}") from None
+    _try_writing(folder, folder)
+    return folder
+
+
+def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
+    """The path of an output file that ends in ``suffix``; an `InputError` if it exists, unless ``force``."""
+    if suffix and path.suffix.lower() != suffix:
+        raise InputError(f"Expected a file name that ends in {suffix}, got: {path}")
+    if isinstance(path, Path):
+        local(path)
+    if path.is_dir():
+        raise InputError(f"Expected a file name, this is a folder: {path}")
+    if path.exists() and not force:
+        raise InputError(f"The output file exists. Use --force to overwrite, or another -o: {path}")
+    try:
+        if isinstance(path, Path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"Cannot create the folder of the output file ({error.strerror}): {path}") from None
+    if isinstance(path, Path):
+        _try_writing(path.parent, path)
+    return path
+
+
+def _try_writing(folder: Path, asked: Path) -> None:
+    """Refuses a folder in which no file can be made, before work is done for what was asked for."""
+    try:
+        with NamedTemporaryFile(dir=folder, prefix=".h3data-"):
+            pass
+    except OSError as error:
+        raise InputError(f"Cannot write here ({error.strerror or error}). Choose another -o: {asked}") from None
+
+
+def open_episode(path: AnyPath) -> Recording:
+    """The recording in an .mcap file, or one episode of a dataset, written as ``ds#3``."""
+    from h3data.recording import Dataset, open_recording
+
+    opened = open_recording(path)
+    if isinstance(opened, Dataset):
+        raise InputError(
+            f"Expected a recording (.mcap), this is a dataset of {counted(len(opened), 'episode')}. Name one as {path}#0"
+        )
+    return opened
+
+
+def unfinished_dataset(root: AnyPath) -> str:
+    """Describe the dataset in a folder for `claim_folder`; empty if there is none."""
+    from h3data.recording import Dataset
+    from h3data.recording.parquet.files import is_begun
+
+    if not ((root / "h3" / "schema.json").is_file() or is_begun(root)):
+        return ""
+    try:
+        count = len(Dataset(root))
+    except H3DataError:  # interrupted before the first commit
+        count = 0
+    return f"a dataset of {counted(count, 'finished episode')}" if count else "a dataset without finished episodes"
+
+
+_PARTS_OF_DATASET = ("meta", "data", "h3", "videos", "mcap")
+
+
+def remove_dataset(root: AnyPath) -> None:
+    """Deletes the dataset in a folder; an `InputError`, and nothing is deleted, if the folder holds anything else."""
+    from h3data.recording.parquet.files import is_begun
+
+    if not root.exists() or (root.is_dir() and not any(root.iterdir())):
+        return
+    if not ((root / "h3" / "schema.json").is_file() or is_begun(root)):
+        raise InputError(f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}")
+    others = [p for p in root.iterdir() if p.name not in (*_PARTS_OF_DATASET, "README.md", "card.jpg")]
+    others += [p for p in root.glob("mcap/*") if not re.fullmatch(r"\d{6,}\.mcap(\.part)?", p.name)]
+    if others:
+        raise InputError(
+            f"--force would replace this dataset, but its folder holds {counted(len(others), 'other file')}. Move them away. "
+            f"The first: {min(others)}"
+        )
+    for name in _PARTS_OF_DATASET:  # meta first: without it, nothing is committed
+        remove_tree(root / name)
+    for name in ("README.md", "card.jpg"):
+        if (root / name).is_file():
+            (root / name).unlink()
+
+
+def check_backend(backend: BackendOption) -> None:
+    """Raises an InputError where there is no GPU for ``gpu``."""
+    if backend != "cpu":
+        from h3data.replay.stage import chosen_backend
+
+        chosen_backend(backend)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a small file, which appears under its name when it is complete."""
+    with part_file(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def keeping(kept: Callable[[], str]) -> Iterator[None]:
+    """Says on Ctrl-C what is kept of the work in the block, and how to go on; an empty text says nothing."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(kept()) from None
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Delays Ctrl-C, SIGTERM and SIGHUP to the end of the block, so that a write in progress is finished first."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    heeded = [s for s in numbers if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores SIGHUP
+    before = {s: signal.signal(s, lambda number, _: received.append(number)) for s in heeded}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in received[:1]:
+            signal.raise_signal(number)

@@ -1,0 +1,52 @@
+"""The folder of a training run: claimed, with room for its checkpoints, and emptied of an earlier run by ``--force``."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from h3data.commands.command import claim_folder
+from h3data.errors import InputError
+
+LEFT = (
+    "checkpoint.pt", "policy.npz", "partner_*.npz", "curve.parquet", "tensorboard", "episodes.json.gz", "episodes.npz",
+    "starts.npz",
+)  # fmt: skip
+"""What runs leave in their folders (h3data docs training, h3data docs populations, h3data docs skills)."""
+
+
+def run_folder(
+    out: Path, *, force: bool, resume: bool, device: str, checkpoint_bytes: int, keep: Path | None = None
+) -> Path:
+    """The folder to train in. With ``force`` everything that an earlier run left there is deleted, since its partners, starts
+    and curve would be taken for those of the new one.
+
+    Args:
+        out: The folder.
+        force: Begin anew.
+        resume: Go on.
+        device: It is checked before anything is deleted.
+        checkpoint_bytes: Room for two of these is needed.
+        keep: A file of the folder that is not deleted.
+
+    Raises:
+        InputError: the folder is not empty, the disk is full, or there is no such device.
+    """
+    left = any(path for pattern in LEFT for path in out.glob(pattern))
+    unfinished = "a training run" if left else ""
+    folder, needed = claim_folder(out, force=force or resume, unfinished=lambda: unfinished), 2 * checkpoint_bytes
+    free = shutil.disk_usage(folder).free
+    if free < needed:
+        raise InputError(
+            f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
+        )
+    if force:
+        from sim_kinematic.envs.torch_env import checked_device
+
+        checked_device(device)
+        for path in (path for pattern in LEFT for path in folder.glob(pattern)):
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif keep is None or path.resolve() != keep.resolve():
+                path.unlink()
+    return folder

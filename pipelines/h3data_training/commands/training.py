@@ -1,0 +1,291 @@
+"""``h3data train``: learns social navigation from pictures, on a GPU or, in small, on a CPU, the skills of a robot, and
+rearrangement beside populations of partners, on CPU cores or in worlds on a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from h3data.commands.command import DryRunFlag, ForceFlag, JsonFlag, Outcome
+from h3data.errors import InputError
+from h3data.render.light.sources import LightMode
+from h3data.terminal import counted
+from h3data_training.commands.folders import run_folder
+from h3data_training.commands.lines import say
+
+if TYPE_CHECKING:
+    from h3data_training.run import Result
+    from h3data_training.settings import Settings
+    from sim_kinematic.policies.pictured import PicturedNetwork
+
+
+OF_REARRANGE = ("population", "workers", "episodes_file", "without")
+"""Options that only rearrange has,"""
+OF_SOCIAL_NAV = ("observations", "light", "hold", "init", "rollout", "minibatches", "follow_steps", "horizon")
+"""those that only social_nav and skills have, beside the number of GPUs,"""
+NOT_OF_SKILLS = (*OF_REARRANGE, "walk", "follow_steps", "light")
+"""and those that skills do not have: nobody else is there, and they see depth."""
+TASKS = "social_nav, rearrange or skill"
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a policy and write its weights: social_nav from images, rearrange with a population of partners, or a skill.
+
+    The file plays wherever a policy has a name. The folder gets policy.npz, curve.parquet (the learning curve; tensorboard/
+    too, where TensorBoard is installed) and checkpoint.pt, all renewed every half minute; of rearrange also partner_0.npz, ...,
+    where partners learn. Ctrl-C or SIGTERM finishes the update and saves; --resume goes on.
+
+    Examples:
+        h3data train social_nav --recipe fast --device cuda -o out/nav
+        h3data train social_nav --recipe fast --device cuda --minutes 17 --stop-after 8.7 --resume -o out/nav
+        h3data train social_nav --recipe fast --device cuda --gpus 2 --init end_to_end -o out/longer
+        h3data train social_nav --recipe tiny -o out/tiny
+        h3data train social_nav --observations humanoid_detector,humanoid_gps --device cuda -o out/blind
+        h3data train social_nav --recipe fast --device cuda --scenes h3-homes/train,h3-homes-v2/train -o out/both
+        h3data train social_nav --recipe fast --dry-run -o out/nav
+        h3data train rearrange --population plan_pop_3 --minutes 30 -o out/plan_pop_3
+        h3data train rearrange --recipe paper --population learn_pop --worlds 20 --device cuda -o out/paper
+        h3data train rearrange --population plan_pop_3 --without humanoid_gps -o out/no_gps
+        h3data train rearrange --population learn_pop --workers 16 --updates 200 --resume -o out/learn_pop
+        h3data train skill nav -o out/skills/nav
+        h3data train skill pick --minutes 20 -o out/skills/pick
+        h3data train skill place --recipe fast --device cuda -o out/seeing/place
+        h3data train rearrange --population learn_single --worlds 1024 --device cuda -o out/learn_single
+        h3data evaluate social_nav --policies weights:out/nav/policy.npz,rollout_expert -o out/table
+    """
+
+    task: tyro.conf.Positional[str]
+    """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals, by skills;
+    skill: one of these skills. All with the paper's rewards."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder of the run."""
+    skill: tyro.conf.Positional[str] = ""
+    """skill: nav, pick or place."""
+    population: str | None = None
+    """rearrange: who is beside the robot (paper section 4.2). learn_single: one person who learns too; plan_pop_1 to
+    plan_pop_4: planners of so many kinds; learn_pop: eight people who learn, one in each episode (default: plan_pop_3)."""
+    without: tuple[Literal["humanoid_gps", "primitives"], ...] = ()
+    """rearrange: an ablation of the robot (repeatable). humanoid_gps: it is not shown where the person is; primitives: it
+    cannot choose the four primitives of navigation."""
+    recipe: Literal["fast", "paper", "tiny"] | None = None
+    """social_nav, settings: fast is for one GPU (4,096 worlds, 37 homes, pictures of 64 x 48), paper is the published one
+    (pictures of 224 x 171, ResNet18 and LSTM, 200 M steps), tiny for a CPU (512 worlds, no pictures: the robot is told where
+    the person is and how far off walls are; the default). skill: fast is for one GPU (4,096 worlds, pictures of 64 x 48, no map
+    but for critic and teacher), tiny for a CPU (512 worlds, no pictures: the robot is told the path; the default). rearrange:
+    paper has the published settings but for pictures (100 M steps; h3data docs populations); the default is our own."""
+    seed: int = 0
+    """Everything random follows from it."""
+    minutes: float | None = None
+    """Length of the run, set-up included; learning rate and horizon follow it (default: 8.7, tiny 10, rearrange 30, skills
+    10, with fast 6)."""
+    updates: int | None = None
+    """Length of the run in updates instead, so that on a CPU the same seed gives the same weights."""
+    stop_after: float | None = None
+    """Save and stop after so many minutes of this call; --resume goes on."""
+    workers: int | None = None
+    """rearrange: processes that play, with --worlds those that prepare episodes (default: one for each core). The weights do
+    not depend on it."""
+    episodes_file: Path | None = None
+    """rearrange: episodes to play, drawn and written where there is no such file, so that several runs share them (default:
+    episodes.json.gz in the folder, with --worlds episodes.npz)."""
+    device: str = "cpu"
+    """Where worlds are: cpu, cuda or cuda:N. Of rearrange with --worlds."""
+    scenes: str | None = None
+    """Homes to learn in: one or more names as of h3data generate, separated by commas (default: h3-homes/train)."""
+    episodes_per_home: int | None = None
+    """Episodes to learn from in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
+    observations: str | None = None
+    """What the robot is shown, separated by commas (default: the paper's arm_depth,humanoid_detector,humanoid_gps; tiny
+    humanoid_gps,range_scan); there are also arm_rgb in the place of arm_depth, egomotion, humanoid_velocity, way and
+    range_scan. Skills: arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor,
+    resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else all but arm_depth)."""
+    light: LightMode | None = None
+    """Light in colours (arm_rgb): flat, the same everywhere, or baked, from windows, sun and lamps, which needs --device cpu.
+    The policy's card says it, and it is shown the same wherever it plays (default: flat)."""
+    worlds: int | None = None
+    """Worlds that are stepped at once. rearrange: episodes of an update, with oracle skills and the paper's people, on --device
+    (default: none; episodes have our full rules and are played by --workers)."""
+    hold: int | None = None
+    """Steps of 1/30 s for which an action is held (default: 3)."""
+    robot: str | None = None
+    """Body of the robot (default: quad_arm)."""
+    walk: Literal["natural", "paper", "both"] | None = None
+    """How people walk, as --human-walk of h3data generate (default: natural; rearrange both, half of the episodes each)."""
+    gpus: int = 1
+    """Processes that train together, one for each GPU, each with its share of the worlds; on the CPU as many processes. In
+    processes that torchrun starts, as many as there are."""
+    init: str | None = None
+    """A trained policy to begin with: weights:FILE or end_to_end. The critic is new and learns alone at first; there is less
+    exploration, and the value looks farther ahead from the start."""
+    rollout: int | None = None
+    """Decisions per world between two updates: as far as the recurrent state learns to remember (default: 32, tiny 16)."""
+    minibatches: int | None = None
+    """Parts of a rollout that are learned from one after the other (default: 4)."""
+    follow_steps: int | None = None
+    """Cut training episodes short after so many steps of following, so that they hold more finding (default: 0, never)."""
+    horizon: float | None = None
+    """Steps of 1/30 s that the value looks ahead at the end of the run; at its start in proportion (default: 500 from 150,
+    with --init 750 from 500). A contact costs what is ahead of it, so a longer horizon makes a robot more careful."""
+    resume: bool = False
+    """Go on from the checkpoint in the folder; begins where there is none."""
+    dry_run: DryRunFlag = False
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        if self.resume and self.force:
+            raise InputError("Expected --resume (go on) or --force (begin anew), got both.")
+        if self.stop_after is not None and not self.stop_after > 0:
+            raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
+        if self.skill and self.task != "skill":
+            raise InputError(f"Expected the name of a skill after the task skill only, got {self.task} {self.skill}.")
+        if self.task == "skill" and not self.skill:
+            raise InputError("Expected the name of a skill: h3data train skill nav, pick or place.")
+        if self.task == "rearrange":
+            return self._rearrange()
+        if self.task not in ("social_nav", "skill"):
+            raise InputError(
+                f"Expected the task {TASKS}, got {self.task!r}: policies of other tasks cannot be trained yet."
+            )
+        others = NOT_OF_SKILLS if self.task == "skill" else OF_REARRANGE
+        if strangers := [f"--{n.replace('_', '-')}" for n in others if getattr(self, n) not in (None, ())]:
+            whose = "other tasks" if self.task == "skill" else "rearrange"
+            raise InputError(f"Options of {whose}, not of {self.task}: {', '.join(strangers)}.")
+        from h3data_training.ranks import torchrun_place
+        from h3data_training.run import describe, require_light, train
+
+        name, settings = self._settings()
+        require_light(settings, self.device)
+        first = None if self.init is None else _first(self.init)
+        if first is not None:
+            settings = settings.second_stage()
+        if self.horizon is not None:
+            settings = settings.looking_ahead(self.horizon)
+        if self.dry_run:
+            data = {"settings": settings.as_dict(), "out": str(self.out), **_cost(settings)}
+            return Outcome(text=f"{describe(settings)}\n{_plan(settings)}\nNothing has been done.", data=data)
+        beside = (torchrun_place() or (0, 1))[0] > 0  # the first process of several has claimed the folder
+        folder = run_folder(
+            self.out, force=self.force and not beside, resume=self.resume or beside, device=self.device,
+            checkpoint_bytes=_cost(settings)["checkpoint_bytes"],
+        )  # fmt: skip
+        result = train(
+            folder, settings, seed=self.seed, device=self.device, gpus=self.gpus, init=first, resume=self.resume,
+            stop_after=self.stop_after, name=name, say=say,
+        )  # fmt: skip
+        return Outcome(text=_summary(result, settings.task), data=_data(result), result=result)
+
+    def _settings(self) -> tuple[str, Settings]:
+        """The recipe's name and the settings of social navigation or a skill."""
+        from h3data_training.settings import recipe
+        from h3data_training.skills.settings import skill_recipe
+
+        shown = None if self.observations is None else tuple(self.observations.split(","))
+        changes: dict[str, Any] = {
+            **self._length(), "scenes": self.scenes, "episodes_per_home": self.episodes_per_home, "worlds": self.worlds,
+            "hold": self.hold, "observations": shown, "robot": self.robot, "rollout": self.rollout,
+            "minibatches": self.minibatches, "light": self.light,
+        }  # fmt: skip
+        name = self.recipe or "tiny"
+        if self.task == "skill":
+            return name, skill_recipe(name, self.skill, **changes)
+        return name, recipe(name, **changes, walk=self.walk, follow_steps=self.follow_steps)
+
+    def _length(self) -> dict[str, Any]:
+        """Minutes and updates of the run, None as in the recipe; minutes alone take the place of a recipe's updates."""
+        of_recipe = None if self.minutes is None else 0
+        return {"minutes": self.minutes, "updates": of_recipe if self.updates is None else self.updates}
+
+    def _rearrange(self) -> Outcome:
+        strangers = [f"--{name.replace('_', '-')}" for name in OF_SOCIAL_NAV if getattr(self, name) is not None]
+        strangers += ["--gpus"] * (self.gpus != 1)
+        if strangers:
+            raise InputError(f"Options of social_nav, not of rearrange: {', '.join(strangers)}.")
+        if self.device != "cpu" and self.worlds is None:
+            raise InputError(
+                f"Without --worlds rearrange plays our full rules, on CPU cores: --device {self.device} has no effect. "
+                "Hint: --worlds 1024."
+            )
+        if self.worlds is not None and self.worlds < 1:
+            raise InputError(f"Expected at least 1 world, got --worlds {self.worlds}.")
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.")
+        from h3data_training.commands.rearrangement import plan_rearrange, train_rearrange
+        from h3data_training.populations.settings import rearrange_recipe
+
+        settings = rearrange_recipe(
+            self.recipe, **self._length(), population=self.population, scenes=self.scenes,
+            episodes_per_home=self.episodes_per_home, robot=self.robot, walk=self.walk, without=self.without,
+        )  # fmt: skip
+        if self.worlds is not None:
+            settings = settings.in_worlds(self.worlds)
+        if self.dry_run:
+            return plan_rearrange(self.out, settings, workers=self.workers)
+        return train_rearrange(
+            self.out, settings, seed=self.seed, workers=self.workers, device=self.device, resume=self.resume,
+            force=self.force, stop_after=self.stop_after, episodes_file=self.episodes_file,
+        )  # fmt: skip
+
+
+def _first(name: str) -> PicturedNetwork:
+    """The trained policy of a name."""
+    from sim_kinematic.policies.learned import is_learned, network_of
+    from sim_kinematic.policies.pictured import PicturedNetwork
+
+    network = network_of(name) if is_learned(name) else None
+    if not isinstance(network, PicturedNetwork):
+        raise InputError(f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.")
+    return network
+
+
+def _cost(settings: Settings) -> dict[str, int]:
+    """Sizes that decide whether a run fits on a machine [bytes]."""
+    from sim_kinematic.policies.pictured import PICTURES
+
+    s = settings
+    pixels = s.picture_size[0] * s.picture_size[1] * sum(PICTURES.get(name, 0) for name in s.observations)
+    # of the recurrent state; of weights with their moments
+    state, weights = (4 * s.hidden, 110 << 20) if s.network == "resnet18_lstm" else (s.hidden, 20 << 20)
+    return {
+        "decisions_per_update": s.decisions_per_update,
+        "rollout_bytes": s.decisions_per_update * (2 * pixels + 400),
+        "checkpoint_bytes": s.worlds * (4 * pixels + 4 * state + 400) + weights,
+    }
+
+
+def _plan(settings: Settings) -> str:
+    cost = _cost(settings)
+    length = counted(settings.updates, "update") if settings.updates else f"{settings.minutes:g} minutes"
+    return (
+        f"{length}; {cost['decisions_per_update']} decisions an update, held for {counted(settings.hold, 'step')}; a rollout "
+        f"takes {cost['rollout_bytes'] / 1e9:.2f} GB of device memory, a checkpoint {cost['checkpoint_bytes'] / 1e6:.0f} MB."
+    )
+
+
+def _data(result: Result) -> dict[str, object]:
+    return {
+        "policy": str(result.folder / "policy.npz"), "done": result.done, "updates": result.updates,
+        "decisions": result.decisions, "seconds": result.seconds, "setup_s": result.setup_s, "last": result.last,
+    }  # fmt: skip
+
+
+def _summary(result: Result, task: str) -> str:
+    from h3data_training.run import figures_of
+
+    figures = figures_of(result.last).replace("  ", ", ") if result.last else "no update"
+    lines = [
+        f"{counted(result.updates, 'update')}, {result.decisions / 1e6:.2f} M decisions in {result.seconds / 60:.1f} minutes "
+        f"(set-up {result.setup_s:.0f} s): {figures}.",
+        f"Policy: {result.folder / 'policy.npz'}",
+    ]
+    if not result.done:
+        lines.append("The run is not over. Hint: the same command with --resume goes on.")
+    elif task.startswith("skill_"):
+        lines.append(f"Hint: h3data evaluate skill --skills {result.folder / 'policy.npz'} -o table/")
+    else:
+        lines.append(f"Hint: h3data evaluate social_nav --policies weights:{result.folder / 'policy.npz'} -o table/")
+    return "\n".join(lines)

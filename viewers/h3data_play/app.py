@@ -1,0 +1,152 @@
+"""What people play: a task with its rules, words and markers. An app of your own is a subclass, found as ``module:Class``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from h3data.errors import InputError
+from h3data.plugins import Registry
+from h3data_play.drivers import Driver
+from h3data_play.messages import Act
+from sim_kinematic.tasks.runner import Session, StepResult
+
+_LEAF = "leaf"
+"""The part of a door between rooms, in homes of the generator."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hud:
+    """What a player reads."""
+
+    task: str
+    """What to do, in a sentence."""
+    left_s: float | None = None
+    """Time that is left [s]; None: no limit is shown."""
+    lines: tuple[str, ...] = ()
+    """How it stands, a line each."""
+    how: Mapping[str, str] = field(default_factory=dict)
+    """How it is done by what the player acts with (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), said in place of the
+    page's own hints. Where it has nothing, the page says what could be done now."""
+    marker: tuple[float, float, float] | None = None
+    """A point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goal:
+    """Where an object has to go; goal number k is that of object number k."""
+
+    position: tuple[float, float, float]
+    """Of the object's origin there [m]."""
+    label: str
+    """Name of the place."""
+
+
+class App:
+    """An episode of a task as people play it. The defaults suit any task; a subclass says what is different.
+
+    An object of it lives for one episode. `reset`, then for each step `on_input` for what players have sent, `step` for what
+    happened, `hud` for what each player reads.
+    """
+
+    task: ClassVar[str] = ""
+    """Name of the task, or ``module:Class``."""
+    rules: ClassVar[Mapping[str, Any]] = {}
+    """Rules of the task that differ where people play it."""
+    seats: ClassVar[tuple[str, ...]] = ("person",)
+    """Roles that are played unless the command line names others."""
+    partner: ClassVar[str | None] = None
+    """Policy of the agents that nobody plays, unless the command line names one; None: the task's default, ``solo``: there are
+    none."""
+
+    session: Session
+
+    def reset(self, session: Session) -> None:
+        """Begins an episode."""
+        self.session = session
+
+    def driver(self, number: int) -> Driver:
+        """How a player moves agent ``number``."""
+        return Driver(self.session, number)
+
+    def refusal(self, number: int, message: Act) -> str:
+        """Returns why a message of the player of agent ``number`` is not followed now, as a sentence; empty: it is. Like
+        everything else in an app it may depend on messages and on the world only, so that a game can go on after a crash."""
+        del number, message
+        return ""
+
+    def on_input(self, number: int, message: Act) -> None:
+        """Takes note of a message of the player of agent ``number``, which has been accepted."""
+
+    def step(self, result: StepResult) -> str:
+        """Takes note of a step; a text ends the episode for the reason that it names."""
+        del result
+        return ""
+
+    def hud(self, number: int) -> Hud:
+        """What the player of agent ``number`` reads; -1: a spectator."""
+        del number
+        info = self.session.recorder.header.episode.info
+        return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
+
+    def goals(self) -> list[Goal]:
+        """Markers in the home."""
+        return []
+
+    def label(self, name: str) -> str:
+        """The word for an object of the recording."""
+        return name.rpartition("/")[2].replace("_", " ")
+
+    def joint_label(self, name: str) -> str:
+        """Words for a door or drawer ``thing/part``."""
+        thing, _, part = name.rpartition("/")
+        words = self.label(thing) if part == _LEAF else f"{self.label(thing)} {self.label(part)}"
+        return " ".join(dict.fromkeys(words.split()))
+
+    def over(self, number: int) -> str:
+        """What the player reads at the end."""
+        ended = self.session.ended
+        return {
+            "success": "Done. Thank you!",
+            "max_steps": "The time is up.",
+            "closed": "The episode has been ended.",
+        }.get(ended, f"The episode has ended: {ended.replace('_', ' ')}.")
+
+    @property
+    def left_s(self) -> float:
+        """Time until the task's limit of steps [s], whole seconds."""
+        spec, steps = self.session.episode.spec, len(self.session.recorder)
+        return float((spec.max_steps - steps + 29) // 30)
+
+
+def sentence_of(words: str) -> str:
+    """An instruction as a sentence."""
+    return words[:1].upper() + words[1:] + ("" if words.endswith(".") else ".")
+
+
+def _require_app(found: Any) -> None:
+    if not (isinstance(found, type) and issubclass(found, App) and found.task):
+        raise InputError("Expected a subclass of h3data_play.app.App that names its task.")
+
+
+_APPS: Registry[Any] = Registry(
+    "h3data.apps",
+    {
+        "rearrange": "h3data_play.apps.rearrange:RearrangeApp",
+        "social_nav": "h3data_play.apps.social_nav:FollowMeApp",
+        "tutorial": "h3data_play.apps.tutorial:TutorialApp",
+        "teleop": "h3data_play.apps.teleop:TeleopApp",
+    },
+    what="app",
+    check=_require_app,
+)
+
+
+def find_app(name: str) -> type[App]:
+    """The app with a name, or ``module:Class``.
+
+    Raises:
+        InputError: there is none.
+    """
+    return _APPS.get(name)

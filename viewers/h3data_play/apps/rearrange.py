@@ -1,0 +1,36 @@
+"""Rearrangement: a person, or somebody who steers the robot, brings things to their places."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from h3data_play.app import App, Goal, Hud, sentence_of
+from h3data_play.drivers import Driver, PersonDriver, RobotDriver
+from sim_kinematic.agents.driven.person import DrivenPerson
+from sim_kinematic.tasks.rearrange.task import spoken
+
+
+class RearrangeApp(App):
+    """Bring all things to their goals, together with whoever else is there."""
+
+    task: ClassVar[str] = "rearrange"
+    # as in the paper's study: contact is counted, it does not end the episode
+    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 5400, "end_on_collision": False, "solid_agents": True}
+
+    def driver(self, number: int) -> Driver:
+        is_person = isinstance(self.session.play.actors[number], DrivenPerson)  # type: ignore[attr-defined]
+        return (PersonDriver if is_person else RobotDriver)(self.session, number)
+
+    def hud(self, number: int) -> Hud:
+        done = int(self.session.play.at_goal.sum())  # type: ignore[attr-defined]
+        words = str(self.session.recorder.header.episode.info["instruction"])
+        lines = (f"{done} of {len(self.goals())} things are where they belong.",)
+        return Hud(task=sentence_of(words), left_s=self.left_s, lines=lines)
+
+    def goals(self) -> list[Goal]:
+        targets = self.session.episode.targets  # type: ignore[attr-defined]
+        return [Goal(position=tuple(t.goal.tolist()), label=spoken(t.destination) or "its goal") for t in targets]
+
+    def label(self, name: str) -> str:
+        return spoken(name) or "thing"

@@ -1,0 +1,26 @@
+"""Follow me: a person walks about at home, a robot has to find and follow them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from h3data_play.app import App, Hud
+
+
+class FollowMeApp(App):
+    """The person walks where they like; the robot follows at 1 to 2 m."""
+
+    task: ClassVar[str] = "social_nav"
+    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 2700, "end_on_collision": False, "solid_agents": True}
+
+    def hud(self, number: int) -> Hud:
+        session = self.session
+        state, spec = session.play.memory, session.episode.spec  # type: ignore[attr-defined]
+        metres = float(state.geodesic[0])
+        if number >= 0 and session.episode.roster[number].kind == "robot":
+            task = f"Find the person and follow them at {spec.near_m:g} to {spec.far_m:g} m, facing them."
+        else:
+            task = "Walk about as you like. The robot has to find you and follow you."
+        found = "The robot has found the person" if state.found[0] else "The robot is looking for the person"
+        return Hud(task=task, left_s=self.left_s, lines=(f"{found} ({metres:.0f} m).",))

@@ -1,0 +1,65 @@
+"""Tele-operation: somebody drives the robot, takes things with its arm and brings them to their places."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from h3data_play.app import Hud
+from h3data_play.apps.rearrange import RearrangeApp
+from h3data_play.drivers import Driver
+from sim_kinematic.tasks.runner import Session, StepResult
+
+
+class TeleopApp(RearrangeApp):
+    """The operator alone with the robot, or beside a person who follows a policy (``--partner``)."""
+
+    seats: ClassVar[tuple[str, ...]] = ("robot",)
+    partner: ClassVar[str | None] = "solo"
+
+    def reset(self, session: Session) -> None:
+        super().reset(session)
+        self.drivers: dict[int, Driver] = {}
+        self.bumps = self.touches = 0
+        self._was = {"metrics.robot_contact": False, "metrics.collision": False}
+
+    def driver(self, number: int) -> Driver:
+        driver = self.drivers[number] = super().driver(number)
+        return driver
+
+    def step(self, result: StepResult) -> str:
+        columns = self.session.recorder.latest_columns()
+        self.bumps += self._begins("metrics.robot_contact", columns)
+        self.touches += self._begins("metrics.collision", columns)
+        return super().step(result)
+
+    def hud(self, number: int) -> Hud:
+        hud = super().hud(number)
+        counts = f"Bumps into the home: {self.bumps}."
+        if any(member.kind == "human" for member in self.session.episode.roster):
+            counts += f" Touches of people: {self.touches}."
+        return Hud(task=hud.task, left_s=hud.left_s, lines=(*hud.lines, self._hand(number), counts))
+
+    def _hand(self, number: int) -> str:
+        """What the gripper has, or how far the nearest thing is that is not yet where it belongs."""
+        objects = self.session.play.objects  # type: ignore[attr-defined]
+        number = number if number in self.drivers else next(iter(self.drivers), 0)
+        held = objects.held(number)
+        if held >= 0:
+            return f"The gripper holds the {self.label(objects.names[held])}."
+        if self.session.recorder.latest is None:
+            return "The gripper is empty."
+        poses = self.session.recorder.latest_columns()["object_pose"][-1].astype(np.float64)
+        gaps = np.hypot(*(poses[:, [0, 2]] - self.drivers[number].place[0]).T)
+        gaps[np.asarray(self.session.play.at_goal)] = np.inf  # type: ignore[attr-defined]
+        k = int(gaps.argmin())
+        if not np.isfinite(gaps[k]):
+            return "The gripper is empty."
+        # half metres: the line is sent again whenever it changes
+        return f"The gripper is empty; the {self.label(objects.names[k])} is {round(gaps[k] * 2) / 2:g} m away."
+
+    def _begins(self, name: str, columns: dict[str, np.ndarray]) -> bool:
+        now = bool(columns[name][-1]) if name in columns else False
+        was, self._was[name] = self._was[name], now
+        return now and not was

@@ -1,0 +1,219 @@
+"""``h3data play``: people play in a browser, live, and what they do is recorded."""
+
+from __future__ import annotations
+
+import os
+import time
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import tyro
+
+from h3data.commands.command import JsonFlag, Outcome, WalkOption, claim_folder, keeping
+from h3data.errors import InputError
+from h3data.files import part_file
+from h3data.terminal import counted
+from h3data_play.commands.serving import (
+    AllowHostOption,
+    CertOption,
+    HostOption,
+    KeyOption,
+    NoBrowserFlag,
+    PortOption,
+    ProxyFlag,
+    run_server,
+    say,
+    say_disk,
+    serving_options,
+)
+
+PLAN = "plan.json"
+DEFAULT_OUT = Path("out/play")
+
+
+@dataclass(frozen=True)
+class Play:
+    """Play an episode live in the browser, and record it.
+
+    Opens the page and prints its address. Ctrl-C ends it and keeps what was played. The same command on the folder of a
+    session that was killed goes on with it. Needs the extra hitl.
+
+    Examples:
+        h3data play rearrange
+        h3data play rearrange --partner same_object --scenes small:3 -o rec/
+        h3data play rearrange --as robot --partner both
+        h3data play social_nav --partner rollout_expert --episodes 3
+        h3data play rearrange --as person,robot
+        h3data play tutorial
+        h3data play teleop --partner both
+        h3data play my_app.py_module:MyApp --no-browser --port 8080
+    """
+
+    app: tyro.conf.Positional[str]
+    """rearrange: bring two objects to their places. social_nav: walk about while a robot has to find and follow you.
+    tutorial: walk, look, take and place, one step after the other. teleop: drive the robot, take and place with its arm. Or
+    module:Class, an app of your own (h3data docs play)."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder of the recordings (default: a new one below out/play)."""
+    play_as: Annotated[str | None, tyro.conf.arg(aliases=["--as"])] = None
+    """person, robot, or several separated by commas, each with a link of its own: person,robot or person,person. spectator
+    adds the link of somebody who watches (default: the app's; teleop robot, the others person)."""
+    partner: str | None = None
+    """Policy of everybody whom nobody plays: a name as in generate, weights:FILE, or solo (nobody is added; the default of
+    tutorial and teleop)."""
+    scenes: str = "small"
+    """Homes to play in, as in generate."""
+    seed: int = 0
+    """Homes and episodes follow from it."""
+    episodes: int = 1
+    """How many, one after the other."""
+    seconds: float | None = None
+    """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
+    motion: Path | None = None
+    """How people walk: as in a motion file, as of h3data generate."""
+    human_walk: WalkOption | None = None
+    """How fast people walk: natural is 1.3 m/s, paper 2.5 m/s (default: natural)."""
+    port: PortOption = 0
+    host: HostOption = "127.0.0.1"
+    cert: CertOption = None
+    key: KeyOption = None
+    behind_proxy: ProxyFlag = False
+    allow_host: AllowHostOption = ()
+    no_browser: NoBrowserFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        self._check()
+        out = self.out or DEFAULT_OUT / time.strftime("%Y%m%d-%H%M%S")
+        goes_on = self._claim(out)
+        with keeping(lambda: f"{counted(len(_recordings(out)), 'recording')} in {out}"):
+            say(f"Setting up the {'session again' if goes_on else 'first home'} ...")
+            links, overs = self._serve(out)
+        files = _recordings(out)
+        lines = [f"{path}: {over['ended']} after {counted(over['steps'], 'step')}" for path, over in _named(overs)]
+        text = "\n".join(lines or ["Nothing was played."])
+        table = _measured(files)
+        if table is not None:
+            text += f"\n\n{table.to_text()}"
+        if files:
+            text += f"\n\nh3data replay {files[0]} --verify    # simulated again from what was pressed, bit for bit"
+        data = {
+            "out": str(out),
+            "links": dict(links),
+            "episodes": [{key: over[key] for key in ("ended", "steps", "path")} for over in overs],
+            "metrics": table.to_dict() if table is not None else None,
+        }
+        return Outcome(text=text, data=data, result=files)
+
+    def _check(self) -> None:
+        self._serving()
+        if self.episodes < 1 or self.seed < 0:
+            raise InputError("Expected --episodes of at least 1 and a --seed of at least 0.")
+        if self.seconds is not None and not 1 <= self.seconds <= 36000:
+            raise InputError(f"--seconds must be 1 to 36000, got {self.seconds}.")
+
+    def _serving(self) -> dict[str, Any]:
+        return serving_options(
+            "h3data play", host=self.host, port=self.port, cert=self.cert, key=self.key, behind_proxy=self.behind_proxy,
+            allow_host=self.allow_host,
+        )  # fmt: skip
+
+    def _plan(self, out: Path) -> dict[str, Any]:
+        from h3data_play.app import find_app
+        from h3data_play.plan import SEATS
+
+        play_as = self.play_as or ",".join(find_app(self.app).seats)
+        seats = [name.strip() for name in play_as.split(",")]
+        strange = [name for name in seats if name not in SEATS]
+        if strange or not set(seats) & {"person", "robot"}:
+            raise InputError(
+                f"Expected --as with some of {', '.join(SEATS)}, somebody who plays among them, got: {play_as}"
+            )
+        rules: dict[str, Any] = {}
+        if self.seconds is not None:
+            rules["max_steps"] = round(self.seconds * 30)
+        if self.human_walk is not None:
+            rules["human_walk"] = self.human_walk
+        if self.motion is not None:
+            from h3data.bodies.motion.walk_import import walk_file
+
+            walk_file(str(self.motion.resolve()))  # refuses what cannot be played
+        return {
+            **({} if self.motion is None else {"motion": str(self.motion.resolve())}),
+            "app": self.app,
+            "out": str(out.resolve()),
+            "seats": sorted(seats, key=lambda name: name == "spectator"),
+            "partner": self.partner,
+            "scenes": self.scenes,
+            "seed": self.seed,
+            "episodes": self.episodes,
+            "rules": rules,
+        }
+
+    def _claim(self, out: Path) -> bool:
+        """Creates the folder; True if it holds a session that was killed, which goes on."""
+        from h3data_play.seats import JOURNAL
+
+        plan, file = msgspec.json.encode(self._plan(out)), out / PLAN
+        if (out / JOURNAL).is_file() and file.is_file():
+            if file.read_bytes() != plan:
+                raise InputError(
+                    f"{out} holds an unfinished session that was started with other options ({file}). Use the same ones, or "
+                    "another -o."
+                )
+            return True
+        claim_folder(out, force=False)
+        with part_file(file) as part:
+            part.write_bytes(plan)
+        return False
+
+    def _serve(self, out: Path) -> tuple[list[list[str]], list[dict[str, Any]]]:
+        """Runs the server until it ends; returns the links of the seats and how the episodes ended."""
+        links: list[list[str]] = []
+        overs: list[dict[str, Any]] = []
+        run_server(
+            "h3data_play.serve",
+            {"plan": self._plan(out), **self._serving()},
+            lambda report: self._heard(report, links, overs, out),
+        )
+        return links, overs
+
+    def _heard(self, report: dict[str, Any], links: list[list[str]], overs: list[dict[str, Any]], out: Path) -> None:
+        if "refused" in report:
+            raise InputError(report["refused"])
+        if "ready" in report:
+            links += report["ready"]["links"]
+            for seat, link in links:
+                say(f"Play as the {seat}: {link}" if seat != "spectator" else f"Watch: {link}")
+            say("Ctrl-C ends the session.")
+            if not self.no_browser:
+                webbrowser.open(links[0][1])
+        elif "over" in report:
+            overs.append(report["over"])
+            left = self.episodes - report["over"]["episode"] - 1
+            more = f", {left} to go" if left > 0 else ""
+            say(f"Episode {report['over']['episode']}: {report['over']['ended']}{more}")
+        elif "lost" in report:
+            say("A worker process ended; another one takes over.")
+        elif "disk" in report:
+            say_disk(report["disk"], out)
+
+
+def _recordings(out: Path) -> list[Path]:
+    return sorted(out.glob("*.mcap"))
+
+
+def _named(overs: list[dict[str, Any]]) -> list[tuple[str, dict[str, Any]]]:
+    return [(os.path.relpath(over["path"]), over) for over in overs if over["path"]]
+
+
+def _measured(files: list[Path]) -> Any:
+    """Metrics of the recordings; None where there are none."""
+    from h3data.metrics import measure_many
+    from h3data.recording import read_mcap
+
+    recordings = [read_mcap(file) for file in files]
+    return measure_many(recordings) if recordings else None

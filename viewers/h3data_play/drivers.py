@@ -1,0 +1,381 @@
+"""From what players want to commands of the simulator, one driver for each agent that somebody plays.
+
+A driver is a function of the messages and of the world alone, so that the same messages give the same commands when a session
+goes on after a crash.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from h3data.errors import InputError
+from h3data.geometry import Array, heading_from_quat
+from h3data.scene import FreeSpace
+from h3data_play.guide import FLOOR_SNAP_M, Guide
+from h3data_play.messages import (
+    Act,
+    Close,
+    Drop,
+    Give,
+    GoTo,
+    Hand,
+    Head,
+    Leave,
+    Move,
+    Open,
+    Pick,
+    Place,
+    Stop,
+)
+from sim_kinematic.agents.driven.commands import Drop as DropSkill
+from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCommand
+from sim_kinematic.agents.driven.commands import Place as PlaceSkill
+from sim_kinematic.agents.driven.person import DrivenPerson
+from sim_kinematic.agents.skills import Action, sentence
+from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.tasks.episode import agent_base, agent_floor
+from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.runner import Session, StepResult
+
+CANCEL = Action("wait", steps=1)
+"""Interrupts a running skill and does nothing itself."""
+DOOR_SHUT = "A closed door is in the way."
+GOAL_M = 0.02
+"""A place this near to an object's goal means the goal."""
+
+
+class Driver:
+    """Walks: by keys, or to a point of the floor. Enough for tasks without skills; subclasses add theirs."""
+
+    def __init__(self, session: Session, number: int) -> None:
+        self.session, self.number = session, number
+        self.name = session.episode.roster[number].name
+        self.ack = -1
+        """Number of the last message that has acted."""
+        self.forward, self.turn = 0.0, 0.0
+        self.guide: Guide | None = None
+
+    # --- from the player ----------------------------------------------------------------------------------------------
+    def take(self, message: Act, refusal: str = "") -> str:
+        """Folds in one message, which acts on the next step; returns a sentence for the player where it cannot be done, or
+        the app's ``refusal``.
+
+        Raises:
+            InputError: it is no command in this task; then it must not be recorded.
+        """
+        why = refusal or self.follow(message)
+        if message.seq is not None:
+            self.ack = message.seq
+        return why
+
+    def follow(self, message: Act) -> str:
+        """As `take`."""
+        if isinstance(message, Move):
+            # float32, as it is recorded
+            self.forward, self.turn = float(np.float32(message.f)), float(np.float32(message.t))
+            if message.f or message.t:
+                self.interrupt()
+            return ""
+        if isinstance(message, Stop):
+            self.interrupt()
+            return ""
+        if isinstance(message, Leave):
+            return ""
+        if isinstance(message, GoTo):
+            self.interrupt()
+            return self.go(message.p[::2])
+        raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.")
+
+    def release(self) -> None:
+        """The player is gone: keys go up. The world stands still meanwhile, so skills and walks may go on later."""
+        self.forward = self.turn = 0.0
+
+    def interrupt(self) -> None:
+        """Ends what the server leads."""
+        self.guide = None
+
+    def go(self, xz: Any, heading: float | None = None) -> str:
+        """Sets out for a place; returns why not."""
+        try:
+            self.guide = Guide.to(self.floor, self.base, self.place[0], xz, heading=heading)
+        except InputError as fault:
+            return str(fault)
+        return ""
+
+    # --- to the world -------------------------------------------------------------------------------------------------
+    def command(self) -> Any:
+        """What the session is told before the next step; None: nothing new."""
+        return Velocity(*self.velocity())
+
+    def velocity(self) -> tuple[float, float]:
+        """Forward and turn of the next step."""
+        if self.guide is not None:
+            velocity = self.guide.velocity(*self.place)
+            if velocity is not None:
+                return velocity
+            self.guide = None
+        return self.forward, self.turn
+
+    def after(self, result: StepResult) -> str:
+        """Takes note of a step; returns a sentence for the player."""
+        return result.refused.get(self.name, "")
+
+    @property
+    def busy(self) -> bool:
+        """Whether the agent is moved by something else than the player's keys."""
+        return self.guide is not None
+
+    def can_place(self, point: Any) -> str:
+        """Why what is held could not be placed at a point now; empty: it could."""
+        del point
+        return "There is nothing to place here."
+
+    # --- the body -----------------------------------------------------------------------------------------------------
+    @property
+    def place(self) -> tuple[Array, float]:
+        """Where the agent is: (x, z), heading."""
+        recorder = self.session.recorder
+        if recorder.latest is None:
+            start = self.session.episode.starts[self.number]
+            return start[:2].copy(), float(start[2])
+        pose = recorder.latest_columns()[f"agent_{self.number}.base_pose"][-1].astype(np.float64)
+        return pose[[0, 2]], float(heading_from_quat(pose[3:]))
+
+    @property
+    def floor(self) -> FreeSpace:
+        """The floor on which paths are found."""
+        return agent_floor(self.session.episode, self.number)
+
+    @property
+    def base(self) -> BaseSpec:
+        """Discs and limits by which the agent moves."""
+        return driving_base(self.session, self.number)
+
+
+class SkillDriver(Driver):
+    """Also picks, places, hands over, opens and closes: skills that run for several steps, one after the other."""
+
+    def __init__(self, session: Session, number: int) -> None:
+        super().__init__(session, number)
+        self.queue: list[Any] = []
+        """Skills still to come."""
+        self.cancelled = False
+
+    def follow(self, message: Act) -> str:
+        if isinstance(message, Pick):
+            names = self.objects.names
+            if message.o >= len(names):
+                raise InputError(f"There is no object {message.o}. Expected 0 to {len(names) - 1}.")
+            if why := self.barred(message.o, message.lead):
+                return why
+            pick = Action("pick", message.o)
+            return self.do([Action("nav_to_object", message.o), pick] if message.lead else [pick])
+        if isinstance(message, Place):
+            return self.put(np.array(message.p), message.lead)
+        if isinstance(message, Open | Close):
+            return self.turn_joint(message)
+        if isinstance(message, Drop):
+            return self.do([self.drop()])
+        if isinstance(message, Give):
+            if message.a >= len(self.session.episode.roster):
+                raise InputError(f"There is no agent {message.a}.")
+            return self.do([self.give(message.a)])
+        return super().follow(message)
+
+    def do(self, skills: list[Any]) -> str:
+        """Begins a row of skills."""
+        self.interrupt()
+        self.queue = skills
+        return ""
+
+    def put(self, point: Array, lead: bool) -> str:
+        """Places what is held."""
+        k = self.objects.held(self.number)
+        if k < 0:
+            return "The hand holds nothing."
+        if np.linalg.norm(point - self.objects.goals[k]) < GOAL_M:
+            if why := self.barred(k, lead, at_goal=True):
+                return why
+            place = Action("place", k)
+            return self.do([Action("nav_to_goal", k), place] if lead else [place])
+        return self.put_at(point, lead)
+
+    def turn_joint(self, message: Open | Close) -> str:
+        """Opens or closes a door or drawer."""
+        names = self.objects.joints
+        if message.j >= len(names):
+            raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.")
+        if self.objects.held(self.number) >= 0:
+            return sentence("hand_full")
+        openables = self.session.play.openables  # type: ignore[attr-defined]
+        if message.lead and self.door_before(openables.handles(openables.positions)[message.j]) not in (-1, message.j):
+            return DOOR_SHUT
+        skill = Action("open" if isinstance(message, Open) else "close", message.j)
+        return self.do([Action("nav_to_handle", message.j), skill] if message.lead else [skill])
+
+    def barred(self, k: int, lead: bool, *, at_goal: bool = False) -> str:
+        """Why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
+        openables = self.session.play.openables  # type: ignore[attr-defined]
+        if openables is not None and openables.barrier_of(k, at_goal=at_goal) >= 0:
+            return sentence("closed")
+        point = self.objects.goals[k] if at_goal else self.objects.poses[k, :3]
+        return DOOR_SHUT if lead and self.door_before(point) >= 0 else ""
+
+    def door_before(self, point: Array) -> int:
+        """The closed door between rooms that keeps the agent from where it could reach a world point [3]; -1: none."""
+        play: RearrangePlay = self.session.play  # type: ignore[assignment]
+        actor = play.actors[self.number]
+        return play.door_before(actor, partial(actor.stands_on, point=point))
+
+    def go(self, xz: Any, heading: float | None = None) -> str:
+        play: RearrangePlay = self.session.play  # type: ignore[assignment]
+        spot = play.doorways.open_floor.snap(xz, max_distance_m=FLOOR_SNAP_M)
+        place = np.array([[*spot, 0.0]])[np.isfinite(spot).all(keepdims=True)]
+        if play.door_before(play.actors[self.number], lambda _: place) >= 0:
+            return DOOR_SHUT
+        return super().go(xz, heading)
+
+    def put_at(self, point: Array, lead: bool) -> str:
+        """Places what is held elsewhere than at its goal."""
+        del point, lead
+        return "The robot puts things down at their goals only."
+
+    def drop(self) -> Any:
+        """The command that lets go."""
+        raise InputError("The robot does not drop things.")
+
+    def give(self, agent: int) -> Any:
+        """The command that hands over."""
+        del agent
+        raise InputError("The robot does not hand things over.")
+
+    def interrupt(self) -> None:
+        super().interrupt()
+        self.cancelled = self.runs
+        self.queue = []
+
+    def command(self) -> Any:
+        if self.cancelled:
+            self.cancelled = False
+            if self.queue:
+                return self.queue.pop(0)
+            return self.walking(self.forward, self.turn) if self.forward or self.turn else CANCEL
+        if self.runs:
+            return None
+        velocity = self.velocity()
+        if self.guide is None and self.queue:
+            return self.queue.pop(0)
+        return self.walking(*velocity)
+
+    def walking(self, forward: float, turn: float) -> Any:
+        """The command of a step between skills."""
+        return Velocity(forward, turn)
+
+    def velocity(self) -> tuple[float, float]:
+        failed = self.guide
+        velocity = super().velocity()
+        if failed is not None and failed.failed:
+            self.queue = []
+        return velocity
+
+    def after(self, result: StepResult) -> str:
+        # what a new command has interrupted is followed by what that command asked for
+        own = [span for span in result.skills if span.agent == self.number and span.reason != "commanded"]
+        if any(span.outcome in ("failed", "aborted") for span in own):
+            self.queue = []
+        return super().after(result)
+
+    @property
+    def runs(self) -> bool:
+        """Whether a skill is running."""
+        return self.session.task.is_busy(self.session.play, self.number)
+
+    @property
+    def busy(self) -> bool:
+        return self.runs or super().busy or bool(self.queue)
+
+    @property
+    def floor(self) -> FreeSpace:
+        return self.session.play.actors[self.number].free  # type: ignore[attr-defined]
+
+    @property
+    def objects(self) -> Any:
+        """`sim_kinematic.agents.skills.Objects` of the play."""
+        return self.session.play.objects  # type: ignore[attr-defined]
+
+
+class PersonDriver(SkillDriver):
+    """A person with hands and a head."""
+
+    def __init__(self, session: Session, number: int) -> None:
+        super().__init__(session, number)
+        self.hands: dict[str, HandTarget] = {}
+        self.head: tuple[float, float] | None = None
+
+    def follow(self, message: Act) -> str:
+        if isinstance(message, Hand):
+            if message.p is None:
+                self.hands.pop(message.side, None)
+            elif message.q is not None and np.linalg.norm(message.q) < 1e-3:
+                raise InputError("Expected a quaternion other than zero for a hand.")
+            else:
+                self.hands[message.side] = HandTarget(message.p, message.q)
+            return ""
+        if isinstance(message, Head):
+            self.head = message.yaw, message.pitch
+            return ""
+        return super().follow(message)
+
+    def walking(self, forward: float, turn: float) -> PersonCommand:
+        return PersonCommand(forward, turn, self.hands.get("left"), self.hands.get("right"), self.head)
+
+    def put_at(self, point: Array, lead: bool) -> str:
+        place = PlaceSkill(tuple(point.tolist()))
+        if not lead:
+            return self.do([place])
+        stand = self.body.stand_for(point)
+        if stand is None and self.door_before(point) >= 0:
+            return DOOR_SHUT
+        if stand is None:
+            return "There is nowhere to stand from which it could be put there."
+        self.do([place])
+        return self.go(stand[:2], float(stand[2]))
+
+    def drop(self) -> Any:
+        return DropSkill()
+
+    def give(self, agent: int) -> Any:
+        return HandOver(agent)
+
+    def can_place(self, point: Any) -> str:
+        return self.session.refusal(self.name, PlaceSkill(tuple(point))) or ""
+
+    @property
+    def body(self) -> DrivenPerson:
+        """The person in the play."""
+        return self.session.play.actors[self.number]  # type: ignore[attr-defined]
+
+
+class RobotDriver(SkillDriver):
+    """A robot with an arm, which its skills move."""
+
+    @property
+    def base(self) -> BaseSpec:
+        """Its own, which covers what the hand carries, too."""
+        return self.session.play.actors[self.number].base  # type: ignore[attr-defined]
+
+
+def driving_base(session: Session, number: int) -> BaseSpec:
+    """Discs and limits by which an agent moves under commands: a robot's base, or the disc of a person."""
+    episode = session.episode
+    if episode.roster[number].kind == "robot":
+        return agent_base(episode, number)
+    spec = episode.spec
+    return BaseSpec(
+        max_speed_mps=spec.human.speed_mps, max_turn_rad_s=spec.human.turn_rad_s, disc_offsets_m=(0.0,),
+        disc_radius_m=spec.agent_radius_m, allow_back=isinstance(session.play, RearrangePlay),
+    )  # fmt: skip

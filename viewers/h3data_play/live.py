@@ -1,0 +1,407 @@
+"""An episode that people play: one `Session`, a driver for each player, and everything that they send, recorded to the
+letter."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from h3data.errors import H3DataError, InputError
+from h3data.recording import (
+    STEP_NS,
+    Event,
+    InputEvent,
+    Recording,
+    RecordingHeader,
+    RecordingWriter,
+    SkillSpan,
+    read_mcap,
+    recover_mcap,
+)
+from h3data.recording.live_input import CLIENT, CONNECTED, DISCONNECTED, SLIP, rtt_column, seq_column
+from h3data.scene import FreeSpace
+from h3data_play.app import App, find_app
+from h3data_play.drivers import Driver
+from h3data_play.messages import Act, decode
+from h3data_play.plan import VERSION, GameOrder, PlayPlan
+from h3data_play.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, StatePacker
+from sim_kinematic.agents.roster import HUMAN_BODY
+from sim_kinematic.policies.assignment import AssignedPolicy, make_policy
+from sim_kinematic.policies.policy import External
+from sim_kinematic.tasks.episode import Episode, with_options
+from sim_kinematic.tasks.registry import find_task
+from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.sources import EpisodeSource
+
+MOST_RTT_MS = 1e6
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
+
+
+def disk_fault(fault: BaseException | None) -> str:
+    """What is wrong with the disk, where that is behind an error; else empty."""
+    while fault is not None:
+        if isinstance(fault, OSError) and fault.errno in FULL:
+            return fault.strerror or str(fault)
+        fault = fault.__cause__ or fault.__context__
+    return ""
+
+
+class PatientSink:
+    """Where a live game is recorded. What the disk does not take waits in the writer, and the game for it."""
+
+    def __init__(self, writer: RecordingWriter) -> None:
+        self.writer, self.fault = writer, ""
+        """``fault``: why the disk does not take what waits; empty while it does."""
+        self._info: dict[str, Any] | None = None
+
+    def append(self, rows: dict[str, Any]) -> None:
+        self._try(partial(self.writer.append, rows))
+
+    def event(self, event: Event) -> None:
+        self.writer.event(event)
+
+    def skill(self, span: SkillSpan) -> int:
+        return self.writer.skill(span)
+
+    def input(self, event: InputEvent) -> None:
+        self.writer.input(event)
+
+    def close(self, *, info: dict[str, Any]) -> None:
+        self._info = info
+        self.retry()
+
+    def abort(self) -> None:
+        self.writer.abort()
+
+    def retry(self) -> None:
+        """Hands over what waits."""
+        info = self._info
+        self._try(self.writer.flush if info is None else partial(self.writer.close, info=info))
+
+    def _try(self, act: Callable[[], object]) -> None:
+        try:
+            act()
+            self.fault = ""
+        except InputError as fault:
+            if not isinstance(fault.__cause__, OSError):
+                raise
+            self.fault = fault.__cause__.strerror or str(fault.__cause__)
+
+
+class Table:
+    """Where episodes of a plan come from, in one process."""
+
+    def __init__(self, plan: PlayPlan) -> None:
+        """
+        Raises:
+            InputError: there is no such app, task, scene, agent or policy.
+        """
+        self.app = find_app(plan.app)
+        if plan.partner is None:
+            plan = msgspec.structs.replace(plan, partner=self.app.partner)
+        self.plan = plan
+        self.task = find_task(self.app.task)
+        self.spec = with_options(self.task.Spec(), **{**self.app.rules, **plan.rules})
+        self.roster = plan.roster(tuple(self.task.agents))
+        human = HUMAN_BODY if plan.motion is None else f"{HUMAN_BODY}+{plan.motion}"
+        self.source = EpisodeSource(self.task, plan.scenes, spec=self.spec, agents=self.roster, human=human)
+        self.numbers = self._numbers()
+        """Agent of each player, in the order of `PlayPlan.players`."""
+        if plan.partner not in (None, "solo"):
+            for kind in {kind for k, kind in enumerate(self.roster) if k not in self.numbers}:
+                self.task.check_policy(kind, plan.partner_here or plan.partner, self.spec)
+
+    def _numbers(self) -> tuple[int, ...]:
+        numbers = []
+        for k, seat in enumerate(self.plan.players):
+            kind = "human" if seat == "person" else "robot"
+            nth = self.plan.players[:k].count(seat)
+            agents = [number for number, member in enumerate(self.roster) if member == kind]
+            if nth >= len(agents):
+                raise InputError(f"Nobody can play as the {seat}: {self.plan.app} has {', '.join(self.roster)}.")
+            numbers.append(agents[nth])
+        return tuple(numbers)
+
+    def partner_of(self, episode: Episode, number: int) -> str | AssignedPolicy | None:
+        """What an agent that nobody plays follows, called as the plan calls it: recordings hold no paths of this machine."""
+        plan = self.plan
+        if plan.partner_here == plan.partner:
+            return plan.partner
+        return make_policy(self.task, episode, number, plan.partner_here)._replace(name=plan.partner)
+
+    def episode(self, index: int) -> Episode:
+        """Samples episode ``index``."""
+        return self.source.sample(self.plan.seed, index)
+
+    def finished(self, order: GameOrder) -> dict[str, Any] | None:
+        """How an episode ended of which the whole recording is there already; else None."""
+        path = Path(self.plan.out, order.name + ".mcap")
+        if not path.exists() or path.with_name(path.name + ".part").exists():
+            return None
+        recording = read_mcap(path)
+        info = recording.episode.info
+        return {
+            "ended": info["ended"], "steps": len(recording), "slipped": info["hitl"]["slipped"], "step_ms": None,
+            "path": str(path), "share_in": self.plan.out, "texts": {},
+        }  # fmt: skip
+
+    def begin(self, order: GameOrder) -> LiveGame:
+        """Begins an episode, or goes on with one of which an unfinished log is there."""
+        path = Path(self.plan.out, order.name + ".mcap")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part, saved = path.with_name(path.name + ".part"), path.with_name(f".{path.name}.saved.mcap")
+        recording = _unfinished(part, saved)
+        game = LiveGame(self, order.index, path, order)
+        if recording is not None:
+            game.play_again(recording)
+            game.leftover = saved
+            game.retry()
+        return game
+
+
+def _unfinished(part: Path, saved: Path) -> Recording | None:
+    """What has been played of an episode that was not finished, kept in ``saved`` until it is in the log again: from the log,
+    or from an earlier attempt that did not come to its end.
+
+    Raises:
+        InputError: there is no room to save it.
+    """
+    found, again = _read(saved), saved.with_name(f"{saved.stem}.again.mcap")
+    if part.exists():
+        try:
+            recover_mcap(part, again, overwrite=True)
+        except H3DataError as fault:
+            if disk_fault(fault):
+                raise
+            if found is None:  # killed before anything was written
+                os.replace(part, part.with_name(part.name + ".broken"))
+        else:
+            log = read_mcap(again)
+            if found is None or len(log) > len(found):
+                found = log
+                os.replace(again, saved)
+            again.unlink(missing_ok=True)
+    return found
+
+
+def _read(path: Path) -> Recording | None:
+    try:
+        return read_mcap(path) if path.exists() else None
+    except H3DataError:
+        return None
+
+
+class LiveGame:
+    """One episode under way."""
+
+    def __init__(self, table: Table, index: int, path: Path | None = None, order: GameOrder | None = None) -> None:
+        plan, episode = table.plan, table.episode(index)
+        names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
+        policies: dict[str, Any] = dict(names)
+        if plan.partner not in (None, "solo"):
+            others = {k: m.name for k, m in enumerate(episode.roster) if k not in table.numbers}
+            policies |= {name: table.partner_of(episode, k) for k, name in others.items()}
+        self.sink: PatientSink | None = None
+        self.leftover: Path | None = None
+        """What the game began from, until that is in its own log."""
+
+        def sink(header: RecordingHeader) -> PatientSink:
+            # one home is stored once for all episodes that are played in it
+            # and the file is packed by a process in which nobody plays (`Worker.pack`)
+            assert path is not None
+            self.sink = PatientSink(RecordingWriter(path, header, overwrite=True, share_in=plan.out, compact=False))
+            return self.sink
+
+        info: dict[str, Any] = {"hitl": {"app": plan.app, "seats": list(plan.seats), "protocol": VERSION}}
+        if plan.speed != 1:
+            info["hitl"]["speed"] = plan.speed
+        if order is not None:
+            info = {**order.info, "hitl": {**info["hitl"], **order.hitl}}
+        self.index, self.path, self.share_in, self.slipped = index, path, plan.out, 0
+        if order is not None and order.facts:
+            table.task.recall(episode, order.facts)
+        self.session = Session(
+            table.task, episode, policies, sink=None if path is None else sink, episode_id=str(index), info=info
+        )
+        self.app: App = table.app()
+        self.app.reset(self.session)
+        self.drivers: dict[int, Driver] = {k: self.app.driver(k) for k in table.numbers}
+        for k in table.numbers:
+            self.session.recorder.beside |= {seq_column(k): np.int32(-1), rtt_column(k): np.float32(np.nan)}
+        bodies = tuple(m.body for m in episode.roster)
+        self.packer = StatePacker(self.session.recorder.header, bodies, episode.free.heights)
+        self.packed: PackedStep | None = None
+        """The last step."""
+        self.columns: Columns = {}
+        self.ended = ""
+        """What ended the episode."""
+        self._barriers: dict[int, tuple[FreeSpace, bytes, list[list[int]]]] = {}
+        """What players have to open by agent, with the floor and the state of doors and hands for which it was found."""
+
+    # --- the disk -----------------------------------------------------------------------------------------------------
+    @property
+    def fault(self) -> str:
+        """Why the disk does not take what has been played; empty while it does."""
+        return "" if self.sink is None else self.sink.fault
+
+    def retry(self) -> None:
+        """Hands everything that has been played to the disk, also the end of a game that has been closed."""
+        if self.sink is not None:
+            self.session.recorder.flush()
+            self.sink.retry()
+        if self.leftover is not None and not self.fault:
+            self.leftover.unlink(missing_ok=True)
+            self.leftover = None
+
+    def abort(self) -> None:
+        """Leaves the game as the log that is on the disk, for a later server."""
+        self.session.abort()
+        if self.sink is not None:
+            self.sink.abort()
+
+    # --- from players -------------------------------------------------------------------------------------------------
+    def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
+        """A message acts on the next step, and is recorded to the letter; returns a sentence for the player where it cannot
+        be done.
+
+        Raises:
+            InputError: it is no command; nothing is recorded.
+        """
+        why = self.drivers[number].take(message, self.app.refusal(number, message))
+        self.app.on_input(number, message)
+        beside = self.session.recorder.beside
+        if message.seq is not None:
+            beside[seq_column(number)] = np.int32(message.seq)
+        if message.rtt > 0:
+            beside[rtt_column(number)] = np.float32(min(message.rtt, MOST_RTT_MS))
+        # what the message makes the agent do is recorded beside it (kind ``command``), so that verifying needs no app
+        self._record(CLIENT, number, f'{{"server_ms":{server_ms:.1f},"message":{text}}}')
+        return why
+
+    def connected(self, number: int, here: bool) -> None:
+        """A player came, or went: then their keys go up."""
+        if not here:
+            self.drivers[number].release()
+        self._record(CONNECTED if here else DISCONNECTED, number)
+
+    def slip(self, steps: int) -> None:
+        """The clock of the game has fallen behind by so many steps, which nobody will play."""
+        self.slipped += steps
+        self._record(SLIP, 0, msgspec.json.encode({"steps": steps}).decode())
+
+    def _record(self, kind: str, number: int, payload: str = "") -> None:
+        recorder = self.session.recorder
+        recorder.input(InputEvent(time_ns=len(recorder) * STEP_NS, kind=kind, user=number, payload=payload))
+
+    # --- steps --------------------------------------------------------------------------------------------------------
+    def step(self) -> dict[int, str]:
+        """Plays a step; returns sentences for players by agent."""
+        session = self.session
+        for driver in self.drivers.values():
+            command = driver.command()
+            if command is not None:
+                session.act(driver.name, command)
+        result: StepResult = session.step()
+        sentences = {number: driver.after(result) for number, driver in self.drivers.items()}
+        self.ended = self.app.step(result) or result.ended
+        self.columns = session.recorder.latest_columns()
+        self.packed = self.packer.pack(self.columns)
+        return {number: text for number, text in sentences.items() if text}
+
+    def state(self, number: int, clock_ms: float, *, whole: bool) -> bytes:
+        """The last step as the player of agent ``number`` gets it; -1: a spectator."""
+        assert self.packed is not None, "a step has been played"
+        driver, columns = self.drivers.get(number), self.columns
+        flags = ENDED if self.ended else 0
+        flags |= TOUCH if bool(columns.get("metrics.collision", _NO)[-1]) else 0
+        flags |= WALL if bool(columns.get("metrics.robot_contact", _NO)[-1]) else 0
+        flags |= BUSY if driver is not None and driver.busy else 0
+        ack = -1 if driver is None else driver.ack
+        return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
+
+    def barriers(self, number: int) -> list[list[int]]:
+        """The door or drawer that the player of agent ``number`` has to open first to take each object, and to put it at its
+        goal: what shuts it in, or a door between rooms that leaves no path to it; -1: none. Empty where nothing opens, and
+        for spectators."""
+        play: Any = self.session.play
+        openables = getattr(play, "openables", None)
+        if openables is None or number not in self.drivers:
+            return []
+        # found again, in up to 50 ms, only when something has been opened, closed, taken or put down: nobody gets from one
+        # side of a closed door to the other without
+        key = openables.joints.is_open(openables.positions).tobytes() + play.objects.held_by.tobytes()
+        known = self._barriers.get(number)
+        if known is None or known[0] is not play.floor or known[1] != key:
+            barrier = partial(play.barrier, play.actors[number], detour_m=np.inf)
+            found = [[barrier(k, at_goal) for at_goal in (False, True)] for k in range(len(play.objects.names))]
+            self._barriers[number] = known = play.floor, key, found
+        return known[2]
+
+    @property
+    def floor(self) -> FreeSpace:
+        """The floor as it is now, on which pages predict their players: tasks whose doors move have one (``play.floor``)."""
+        return getattr(self.session.play, "floor", self.session.episode.free)
+
+    # --- the end ------------------------------------------------------------------------------------------------------
+    def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:
+        """Finishes the recording; None, and no file, where no step was played. It has its final name once there is no
+        `fault`."""
+        session = self.session
+        if len(session.recorder) == 0:
+            session.recorder.abort()
+            if self.path is not None:
+                self.path.with_name(self.path.name + ".part").unlink(missing_ok=True)
+            return None
+        hitl = session.recorder.header.episode.info["hitl"]
+        ended = {"ended": self.ended} if self.ended and not session.ended else {}
+        return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped}, **(info or {})})
+
+    # --- after a crash ------------------------------------------------------------------------------------------------
+    def play_again(self, recording: Recording) -> None:
+        """Brings a fresh game to the end of an unfinished recording, from its raw input alone.
+
+        Raises:
+            H3DataError: the states came out otherwise: another version of the simulator.
+        """
+        events = [event for event in recording.inputs if event.kind in (CLIENT, CONNECTED, DISCONNECTED, SLIP)]
+        at = 0
+        for step in range(len(recording) + 1):
+            while at < len(events) and (events[at].time_ns <= step * STEP_NS or step == len(recording)):
+                self._take_again(events[at])
+                at += 1
+            if step < len(recording):
+                self.step()
+        rows = self.session.recorder.columns()["state_hash"] if len(recording) else np.zeros(0)
+        if len(recording) and not np.array_equal(rows, recording.columns["state_hash"]):
+            raise H3DataError(
+                "What was played does not come out again from its raw input: was h3data updated meanwhile?"
+            )
+
+    def _take_again(self, event: InputEvent) -> None:
+        if event.kind == CLIENT:
+            payload = msgspec.json.decode(event.payload, type=_Payload)
+            text = bytes(payload.message).decode()
+            message = decode(text)
+            assert isinstance(message, Act)
+            self.take(event.user, message, text, payload.server_ms)
+        elif event.kind == SLIP:
+            self.slip(int(msgspec.json.decode(event.payload)["steps"]))
+        else:
+            self.connected(event.user, event.kind == CONNECTED)
+
+
+class _Payload(msgspec.Struct):
+    """Payload of the raw input ``client``."""
+
+    server_ms: float
+    message: msgspec.Raw
+
+
+_NO = np.zeros(1, np.bool_)

@@ -1,0 +1,570 @@
+"""A process that plays many games, each at its own phase of the 30 steps a second. Run by the front:
+``python -m h3data_play.worker FD``."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import gzip
+import logging
+import signal
+import socket
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import msgspec
+
+from h3data.errors import H3DataError, InputError
+from h3data.recording import Recording, pack_mcap, write_mcap
+from h3data.scene.articulation import joints_of
+from h3data_play import assets
+from h3data_play.channel import Channel, Closed
+from h3data_play.live import LiveGame, Table, disk_fault
+from h3data_play.messages import (
+    PERIOD_S,
+    Act,
+    Close,
+    Drop,
+    GoTo,
+    Hand,
+    Head,
+    Leave,
+    Move,
+    Open,
+    Pick,
+    Place,
+    decode,
+)
+from h3data_play.plan import GameOrder, PlayPlan, prepared_key
+
+MOST_BEHIND = 3
+"""Steps that a late game catches up at once; beyond that its clock slips, and the recording says so."""
+MOST_WAITING = 200
+"""Messages of one game that wait for their step."""
+FARTHEST_STEPS = 15
+"""A message that is meant for a later step than this acts as soon as that many steps are over."""
+WHOLE_EVERY = 30
+"""Every so many steps a state has all objects, not just those that have moved."""
+PLAN_STEPS = 6
+"""To be led to a thing may take 50 ms of everybody's worker: who asks again sooner is not heard."""
+BEGIN_S = 2.0
+"""A game begins after so long even if others are late."""
+MOST_AHEAD = 12
+"""Homes of so many episodes are made before somebody plays in them."""
+REPORT_S = 1.0
+MEASURED_STEPS = 60
+DISK_S = 1.0
+"""What a full disk did not take is tried again this often."""
+DISK_FULL = "The disk of the server is full. The home stands still until there is space again; nothing is lost."
+HUD_S = 10.0
+"""The time that is left is told this often."""
+
+log = logging.getLogger("h3data.hitl.worker")
+
+
+@dataclass
+class Running:
+    """A game and its clock."""
+
+    key: str
+    game: LiveGame
+    began: float = field(default_factory=time.monotonic)
+    due: float = 0.0
+    here: set[int] = field(default_factory=set)
+    """Agents whose players are connected; -1: spectators."""
+    waiting: deque[tuple[int, int, Act, str, float]] = field(default_factory=deque)
+    """Messages that wait for their step: agent, step, message, text, time of arrival."""
+    whole: bool = True
+    over: bool = False
+    seconds: float = 0.0
+    """CPU time of its steps."""
+    latest_s: deque[float] = field(default_factory=lambda: deque(maxlen=MEASURED_STEPS))
+    """CPU time of the latest steps, with packing and sending."""
+    huds: dict[int, Any] = field(default_factory=dict)
+    barriers: dict[int, Any] = field(default_factory=dict)
+    """What each player was last told to open first."""
+    floors: dict[int, Any] = field(default_factory=dict)
+    """The floor of which each player was last told, if it has ever changed; None: the page may have any."""
+    is_stuck: bool = False
+    """Whether it waits for space on the disk, and the front knows."""
+    recording: Recording | None = None
+    """Once it is over; the disk may still have to take its end."""
+    planned: dict[int, int] = field(default_factory=dict)
+    """Step in which each player last asked to be led to a thing."""
+
+    @property
+    def clock_ms(self) -> float:
+        return (time.monotonic() - self.began) * 1e3
+
+    @property
+    def runs(self) -> bool:
+        """Whether all who play are there, and the disk takes what they do."""
+        return not self.over and not self.is_stuck and all(number in self.here for number in self.game.drivers)
+
+
+class Worker:
+    """All games of this process. A fault in one ends that one."""
+
+    def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
+        self.channel = channel
+        self.plans, self.tables = plans, {0: Table(plans[0])}
+        self.period = PERIOD_S / plans[0].speed if plans[0].speed else 0.0
+        self.games: dict[str, Running] = {}
+        self.stops, self.finishes = False, True
+        self._reported = time.monotonic()
+        self._prepared: dict[tuple[int, int], dict[str, Any]] = {}
+        self._homes_ahead = self.homes_ahead()
+        self._waiting: deque[tuple[str, dict[str, Any], float]] = deque()
+        """Games that are to begin: key, order, since when."""
+        self._no_room: dict[str, dict[str, Any]] = {}
+        """Orders of games for whose beginning the disk has no room."""
+        self._tried = time.monotonic()
+
+    def table(self, number: int) -> Table:
+        """The table of plan ``number``."""
+        if number not in self.tables:
+            self.tables[number] = Table(self.plans[number])
+        return self.tables[number]
+
+    def made(self, plan: int, index: int) -> dict[str, Any]:
+        """Manifest, GLB and distance grid of an episode, both compressed, and facts that its end will need; made once."""
+        if (plan, index) not in self._prepared:
+            table = self.table(plan)
+            game = LiveGame(table, index)
+            grid, entry = assets.distance_grid(game.session)
+            glb = assets.world_glb(game.session)
+            prepared = {
+                "manifest": assets.manifest(game.session, game.app, entry),
+                "glb": [f"{assets.digest(glb)}.glb", gzip.compress(glb, 6, mtime=0)],
+                "grid": [entry["url"].rpartition("/")[2], gzip.compress(grid, 6, mtime=0)],
+                "agents": list(table.numbers),
+                "facts": table.task.foresight(game.session.episode),
+            }
+            game.session.abort()
+            self._prepared = {(plan, index): prepared} | dict(list(self._prepared.items())[:7])
+        return self._prepared[plan, index]
+
+    def warm_up(self) -> None:
+        """Compiles or loads all kernels, and prepares the first episode.
+
+        Raises:
+            H3DataError: one of the plans cannot be played.
+        """
+        kinds: set[tuple[Any, ...]] = set()
+        for number, plan in enumerate(self.plans):
+            kind = plan.app, plan.seats, plan.partner, repr(plan.rules)
+            if kind not in kinds:  # plans that differ in their homes run the same kernels
+                kinds.add(kind)
+                self.made(number, 0)
+                rehearse(self.table(number))
+        # all that is alive now stays: the collector need not look at it 30 times a second
+        gc.collect()
+        gc.freeze()
+
+    # --- the loop -----------------------------------------------------------------------------------------------------
+    def run(self) -> None:
+        """Serves until it is told to stop or the front is gone."""
+        while not self.stops:
+            now = time.monotonic()
+            due = min((r.due for r in self.games.values() if r.runs), default=now + 0.5)
+            letters = self.channel.receive(0.0 if self._waiting else min(due - now, REPORT_S))
+            for kind, key, body in letters:
+                if kind == "begin":
+                    self._waiting.append((key, body, time.monotonic()))
+                else:
+                    self.guarded(key, _HANDLERS[kind], body)
+            for running in sorted(self.games.values(), key=lambda running: running.due):
+                if running.runs and running.due <= time.monotonic():
+                    self.guarded(running.key, Worker.step, None)
+            if self._waiting:
+                self.begin_next()
+            elif not letters and not any(running.runs for running in self.games.values()):
+                next(self._homes_ahead, None)
+            self.try_disk()
+            self.report()
+
+    def try_disk(self) -> None:
+        """Lets games go on, end or begin that wait for space on the disk, if there is some."""
+        now = time.monotonic()
+        if now - self._tried < DISK_S:
+            return
+        self._tried = now
+        for running in [running for running in self.games.values() if running.is_stuck]:
+            self.guarded(running.key, Worker.go_on, None)
+        waiting = {key for key, *_ in self._waiting}
+        self._waiting += [(key, body, now) for key, body in self._no_room.items() if key not in waiting]
+
+    def begin_next(self) -> None:
+        """Begins the game that has waited longest, if no other is late: it takes three steps' time, and several at once would
+        stop those that go on."""
+        now = time.monotonic()
+        key, body, since = self._waiting[0]
+        if now - since > BEGIN_S or all(not running.runs or running.due > now for running in self.games.values()):
+            del self._waiting[0]
+            self.guarded(key, Worker.begin, body)
+
+    def homes_ahead(self) -> Iterator[None]:
+        """Makes the homes of each plan's first episodes, one at a time: each takes half a second, which is free while nobody
+        plays."""
+        for number, plan in enumerate(self.plans):
+            source = self.table(number).source
+            for index in range(min(plan.episodes, MOST_AHEAD)):
+                home = source.homes[source.home_of(plan.seed, index)]
+                if not home.is_ready:
+                    with contextlib.suppress(H3DataError):  # when the episode begins, its player is told
+                        _ = home.scene, home.free
+                    yield
+
+    def guarded(self, key: str, act: Callable[..., None], body: Any) -> None:
+        """Does something for one game; what goes wrong there ends that game, and its log can be recovered."""
+        try:
+            act(self, key, body)
+        except Closed:
+            raise
+        except Exception as fault:
+            log.exception("game %s failed", key)
+            running = self.games.pop(key, None)
+            self._no_room.pop(key, None)
+            if running is not None:
+                running.game.session.abort()
+            text = str(fault) if isinstance(fault, H3DataError) else f"{type(fault).__name__}: {fault}"
+            self.channel.send("failed", key, text)
+
+    def _free_time(self, newcomer: Running) -> float:
+        """When a game should take its first step: in the middle of the longest time in which no other game takes one, so that a
+        long step of one delays few others."""
+        now, period = time.monotonic(), self.period
+        taken = sorted((r.due - now) % period for r in self.games.values() if period and r.runs and r is not newcomer)
+        if not taken:
+            return now + period
+        gaps = [b - a for a, b in pairwise([*taken, taken[0] + period])]
+        longest = gaps.index(max(gaps))
+        return now + period + (taken[longest] + gaps[longest] / 2) % period
+
+    def report(self) -> None:
+        """Tells the front once a second which share of a core the games take. It is CPU time, and of each game the median step:
+        neither what else the machine does nor a single plan should turn people away."""
+        now = time.monotonic()
+        if now - self._reported < REPORT_S:
+            return
+        steps = [median(running.latest_s) for running in self.games.values() if running.latest_s]
+        self.channel.send("load", "", {"busy": sum(steps) / self.period if self.period else 0.0, "games": len(steps)})
+        self._reported = now
+
+    def close_all(self, *, finish: bool) -> None:
+        """Finishes all recordings, or leaves them as logs that a later process goes on with."""
+        closed = []
+        for running in self.games.values():
+            try:
+                if not finish:
+                    running.game.session.abort()
+                elif running.over or running.game.close() is not None:
+                    running.game.retry()
+                    if not running.game.fault:
+                        closed.append(running.game)
+                        continue
+                    log.warning(
+                        "%s is not finished (%s); the same command goes on with it", running.key, running.game.fault
+                    )
+                    running.game.abort()
+            except Exception:
+                log.exception("game %s could not be closed", running.key)
+        self.games.clear()
+        for game in closed:  # only now: every recording is whole already
+            self.guarded("", Worker.pack, {"path": str(game.path), "share_in": game.share_in})
+
+    # --- letters of the front -----------------------------------------------------------------------------------------
+    def prepare(self, key: str, body: dict[str, Any]) -> None:
+        """Sends what pages need of an episode."""
+        self.channel.send("prepared", key, self.made(int(body["plan"]), int(body["index"])))
+
+    def begin(self, key: str, body: dict[str, Any]) -> None:
+        order = msgspec.convert(body, GameOrder)
+        if order.facts is None and key not in self._no_room:
+            self.prepare(prepared_key(order), {"plan": order.plan, "index": order.index})
+        try:
+            ended = self.table(order.plan).finished(order) if order.resumes else None
+            if ended is not None:  # its end had not been noted when the server was killed
+                self._no_room.pop(key, None)
+                self.channel.send("over", key, ended)
+                return
+            game = self.table(order.plan).begin(order)
+        except (H3DataError, OSError) as fault:
+            why = disk_fault(fault)
+            if not why:
+                raise
+            if key not in self._no_room:
+                self._no_room[key] = body
+                self.channel.send("stuck", key, {"why": why, "text": DISK_FULL})
+            return
+        self._no_room.pop(key, None)
+        running = self.games[key] = Running(key, game)
+        self.channel.send("begun", key, {"steps": len(game.session.recorder)})
+        self._note_disk(running)
+
+    def _note_disk(self, running: Running) -> None:
+        """The disk does not take what has been played: the game stands still."""
+        if running.game.fault and not running.is_stuck:
+            running.is_stuck = True
+            self.channel.send("stuck", running.key, {"why": running.game.fault, "text": DISK_FULL})
+            self._tell_pause(running)
+
+    def go_on(self, key: str, body: Any) -> None:
+        """Tries again whether the disk takes what a game has left."""
+        del body
+        running = self.games[key]
+        running.game.retry()
+        if running.game.fault:
+            return
+        running.is_stuck = False
+        self.channel.send("free", key, {})
+        if running.over:
+            self._say_over(running)
+            return
+        running.due = self._free_time(running)
+        self._tell_pause(running, goes_on=True)
+
+    def here(self, key: str, body: dict[str, Any]) -> None:
+        """Somebody came or went. The world stands still until all who play are there."""
+        running = self.games.get(key)
+        if running is None or running.over:
+            return
+        number, here, ran = int(body["agent"]), bool(body["here"]), running.runs
+        if number in running.game.drivers and here != (number in running.here):
+            running.game.connected(number, here)
+        (running.here.add if here else running.here.discard)(number)
+        running.whole = True
+        running.huds.pop(number, None)
+        running.barriers.pop(number, None)
+        if number in running.floors:
+            running.floors[number] = None  # the page may have been loaded again
+        if running.runs and not ran:
+            running.due = self._free_time(running)
+        if not running.runs and running.game.packed is not None:
+            self._send_states(running)
+        self._tell_pause(running)
+
+    def input(self, key: str, body: list[Any]) -> None:
+        """A message of a player, which waits for its step."""
+        running = self.games.get(key)
+        number, text, arrived = body
+        if running is None or running.over or (len(running.waiting) >= MOST_WAITING and not running.is_stuck):
+            return
+        message = decode(text)
+        assert isinstance(message, Act)
+        if isinstance(message, Leave):
+            self._take(running, number, message, text, arrived)
+            self.finish(running)
+            return
+        now = len(running.game.session.recorder)
+        if running.is_stuck:  # nothing is done later that was asked for now; but which keys are down has to be known
+            if isinstance(message, Move):
+                others = (w for w in running.waiting if w[0] != number or not isinstance(w[2], Move))
+                running.waiting = deque([*others, (number, now, message, text, arrived)])
+            return
+        step = now if message.step is None else min(message.step - 1, now + FARTHEST_STEPS)
+        running.waiting.append((number, step, message, text, arrived))
+
+    def can(self, key: str, body: list[Any]) -> None:
+        """A preview: nothing happens, nothing is recorded."""
+        running = self.games.get(key)
+        number, point = body
+        if running is None or running.over or number not in running.game.drivers:
+            return
+        try:
+            why = running.game.drivers[number].can_place(point)
+        except InputError as fault:
+            why = str(fault)
+        self.channel.send("told", key, [number, {"can": {"p": point, "why": why}}])
+
+    def pack(self, key: str, body: dict[str, str]) -> None:
+        """Packs a finished recording, which takes a tenth of a second: the front has a process do it in which nobody plays."""
+        del key
+        if Path(body["path"]).is_file():  # else it has been deleted meanwhile
+            pack_mcap(Path(body["path"]), share_in=body["share_in"])
+
+    def stop(self, key: str, body: Any) -> None:
+        """The process ends; all recordings are finished, or left as logs."""
+        del key
+        self.stops, self.finishes = True, bool(body["finish"])
+
+    # --- steps --------------------------------------------------------------------------------------------------------
+    def step(self, key: str, body: Any) -> None:
+        del body
+        running = self.games[key]
+        game, cpu = running.game, time.process_time()
+        now = len(game.session.recorder)
+        later: deque[tuple[int, int, Act, str, float]] = deque()
+        for number, step, message, text, arrived in running.waiting:
+            # a player's later messages never overtake earlier ones
+            if step > now or any(other[0] == number for other in later):
+                later.append((number, step, message, text, arrived))
+            else:
+                self._take(running, number, message, text, arrived)
+        running.waiting = later
+        for number, why in game.step().items():
+            self.channel.send("told", key, [number, {"why": why}])
+        running.seconds += time.process_time() - cpu
+        self._send_states(running)
+        running.due += self.period
+        behind = time.monotonic() - running.due
+        if self.period and behind > MOST_BEHIND * self.period:
+            steps = int(behind / self.period)
+            game.slip(steps)
+            running.due += steps * self.period
+        if game.ended:
+            self.finish(running)
+        else:
+            self._note_disk(running)
+        running.latest_s.append(time.process_time() - cpu)
+
+    def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:
+        if isinstance(message, Pick | Place | Open | Close) and message.lead:
+            now, before = len(running.game.session.recorder), running.planned.get(number, -PLAN_STEPS)
+            if now - before < PLAN_STEPS:
+                return
+            running.planned[number] = now
+        try:
+            why = running.game.take(number, message, text, arrived)
+        except InputError as fault:  # no command: it has not been recorded
+            why = str(fault)
+        if why:
+            self.channel.send("told", running.key, [number, {"why": why}])
+
+    def _send_states(self, running: Running) -> None:
+        game, clock = running.game, running.clock_ms
+        whole = running.whole or len(game.session.recorder) % WHOLE_EVERY == 0
+        states = [[number, game.state(number, clock, whole=whole)] for number in sorted(running.here)]
+        running.whole = False
+        if states:
+            self.channel.send("state", running.key, states)
+        for number in running.here:
+            barriers = game.barriers(number)
+            if running.barriers.get(number, []) != barriers:
+                running.barriers[number] = barriers
+                self.channel.send("told", running.key, [number, {"barriers": barriers}])
+            if running.floors.get(number, game.session.episode.free) is not game.floor:
+                running.floors[number] = game.floor
+                self.channel.send("told", running.key, [number, {"floor": assets.floor_message(game.floor)}])
+            hud = game.app.hud(number)
+            # pages count the seconds down themselves
+            words = (hud.task, hud.lines, hud.how, hud.marker, None if hud.left_s is None else hud.left_s // HUD_S)
+            if running.huds.get(number) != words:
+                running.huds[number] = words
+                self.channel.send("told", running.key, [number, {"hud": msgspec.to_builtins(hud)}])
+
+    def _tell_pause(self, running: Running, *, goes_on: bool = False) -> None:
+        """Tells those who are there what they wait for."""
+        if len(running.game.drivers) < 2 and -1 not in running.here and not running.is_stuck and not goes_on:
+            return
+        if running.is_stuck:
+            text = DISK_FULL
+        elif all(number in running.here for number in running.game.drivers):
+            text = ""
+        else:
+            text = "The world stands still until all players are here."
+        for number in sorted(running.here):
+            self.channel.send("told", running.key, [number, {"pause": text}])
+
+    def finish(self, running: Running) -> None:
+        """Closes the recording and tells the players, as soon as the disk has it."""
+        running.over = True
+        running.recording = running.game.close()
+        if running.game.fault:
+            self._note_disk(running)
+        else:
+            self._say_over(running)
+
+    def _say_over(self, running: Running) -> None:
+        game, recording, steps = running.game, running.recording, len(running.game.session.recorder)
+        del self.games[running.key]
+        over = {
+            "ended": recording.episode.info["ended"] if recording is not None else "closed",
+            "steps": steps,
+            "slipped": game.slipped,
+            "step_ms": round(running.seconds / max(steps, 1) * 1e3, 3),
+            "path": "" if recording is None else str(game.path),
+            "share_in": game.share_in,
+            "texts": {str(number): game.app.over(number) for number in (*game.drivers, -1)},
+        }
+        self.channel.send("over", running.key, over)
+
+
+_HANDLERS = {
+    "prepare": Worker.prepare,
+    "here": Worker.here,
+    "input": Worker.input,
+    "can": Worker.can,
+    "pack": Worker.pack,
+    "stop": Worker.stop,
+}
+
+
+def rehearse(table: Table) -> None:
+    """Plays an episode that nobody sees: kernels that are compiled or loaded only when somebody first walks, takes something or
+    gives way would stop a live world for a second each."""
+    game = LiveGame(table, 0)
+    for message, steps in (
+        (Move(f=1.0, t=0.3), 20),
+        (Hand(side="left", p=(0.3, 1.2, -0.2), q=(0.0, 0.0, 0.0, 1.0)), 3),
+        (Hand(side="right", p=(0.3, 1.2, 0.2)), 3),
+        (Head(yaw=0.2, pitch=0.1), 3),
+        (Pick(o=0, lead=True), 150),
+        (Drop(), 20),
+        (Open(j=0, lead=True), 90 if joints_of(game.session.episode.scene) else 0),
+        (GoTo(p=(float(game.session.episode.starts[0, 0]), 0.0, float(game.session.episode.starts[0, 1]))), 60),
+    ):
+        for driver in game.drivers.values():
+            with contextlib.suppress(InputError):  # not every task has things to take
+                driver.take(message)
+                driver.can_place((0.0, 1.0, 0.0))
+        for _ in range(steps):
+            if not game.ended:
+                game.step()
+                game.state(-1, 0.0, whole=True)
+    recording = game.close()
+    assert recording is not None
+    with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
+        file = Path(folder, "rehearsal.mcap")
+        write_mcap(recording, file)
+        pack_mcap(file)
+
+
+def main(descriptor: int) -> None:
+    """Talks to the front over an inherited socket until either ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes; the front decides
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    channel = Channel(socket.socket(fileno=descriptor))
+    try:
+        letters = []
+        while not letters:
+            letters = channel.receive(10.0)
+        plans = msgspec.convert(letters[0][2], list[PlayPlan])
+        try:
+            worker = Worker(channel, plans)
+            worker.warm_up()
+        except H3DataError as fault:
+            channel.send("refused", "", str(fault))
+            return
+        channel.send("ready", "", {})
+    except Closed:
+        return
+    try:
+        worker.run()
+    except Closed:  # the front was killed: a later one goes on with what is on the disk
+        worker.close_all(finish=False)
+        return
+    worker.close_all(finish=worker.finishes)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.WARNING, format="worker: %(levelname)s: %(message)s")
+    main(int(sys.argv[1]))

@@ -1,0 +1,190 @@
+"""A scripted browser: speaks the protocol of h3data docs play over HTTP and a socket, and keeps what the server says. For
+tests, benchmarks and scripted participants of studies; needs no simulator."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+import time
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import aiohttp
+
+STATE = 1
+TOUCH, WALL, ENDED, BUSY = 1, 2, 4, 8
+"""Flags of states, as in `h3data_play.wire`, which needs NumPy."""
+HEAD = struct.Struct("<BBBBIif")
+_ROBOT, _OBJECT, _JOINT = struct.Struct("<3f"), struct.Struct("<Hh7f"), struct.Struct("<Hf")
+_PERSON_BYTES = 12 + 28 + 21 * 4
+MOST_KEPT = 20_000
+
+
+@dataclass
+class Thing:
+    """An object of the state."""
+
+    held: int = -1
+    """Agent that holds it; -1: none."""
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass
+class Client:
+    """One browser."""
+
+    link: str
+    """Address of a seat or of a study, with a slash at the end."""
+    http: aiohttp.ClientSession = field(init=False)
+    socket: aiohttp.ClientWebSocketResponse = field(init=False)
+    address: str = ""
+    """Of the socket, once there is a seat."""
+    glb: str = ""
+    manifest: dict[str, Any] = field(default_factory=dict)
+    head: tuple[Any, ...] = (STATE, 0, 0, 0, 0, -1, 0.0)
+    """Of the last state: kind, flags, agents, objects in it, step, ack, clock [ms]."""
+    bases: list[tuple[float, float, float]] = field(default_factory=list)
+    """Of the agents in the last state: x, z, heading."""
+    things: list[Thing] = field(default_factory=list)
+    joints: list[float] = field(default_factory=list)
+    """Positions of doors and drawers [rad or m]."""
+    states: int = 0
+    bytes: int = 0
+    """Of states."""
+    told: list[dict[str, Any]] = field(default_factory=list)
+    """Text frames."""
+    delays: list[float] = field(default_factory=list)
+    """From each message to the state that has it [s]."""
+    times: list[float] = field(default_factory=list)
+    """When states came, by `time.monotonic`."""
+    played_s: float = 0.0
+    """Time between states of the same connection: without waiting for seats and next episodes."""
+    waited_s: list[float] = field(default_factory=list)
+    """From the end of each episode to the first state of the next."""
+    close_code: int | None = None
+    seq: int = 0
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+    """Set by whatever comes."""
+    _latest: float = 0.0
+    _sent: dict[int, float] = field(default_factory=dict)
+    _hearing: asyncio.Task[None] | None = None
+
+    async def __aenter__(self) -> Self:
+        # without unsafe no cookies are kept for 127.0.0.1
+        self.http = aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True))
+        return self
+
+    async def __aexit__(self, *_: Any) -> None:
+        await self.close()
+        await self.http.close()
+
+    async def sit(self) -> int:
+        """Takes the seat; returns the HTTP status. The text of a refusal is told as ``refused``."""
+        async with self.http.post(self.link + "api/session", json={}) as answer:
+            if answer.status != 200:
+                self.told.append({"refused": await answer.text()})
+                return answer.status
+            body = await answer.json()
+        self.manifest, self.glb, self.address = body["manifest"], body["glb"], self.link + body["socket"]
+        return 200
+
+    async def connect(self) -> None:
+        """Opens the socket of a seat, for a new episode or once more; closes the one before."""
+        await self.close()
+        self.head, self.told, self.close_code = (STATE, 0, 0, 0, 0, -1, 0.0), [], None
+        self.things, self._latest = [Thing() for _ in self.manifest["objects"]], 0.0
+        self.joints = [joint["rest"] for joint in self.manifest["joints"]]
+        self.socket = await self.http.ws_connect(self.address, compress=0)
+        self._hearing = asyncio.create_task(self._hear())
+
+    async def close(self) -> None:
+        """Closes the socket, if there is one; the seat is kept."""
+        if self._hearing is not None:
+            await self.socket.close()
+            await asyncio.gather(self._hearing, return_exceptions=True)
+
+    async def _hear(self) -> None:
+        async for frame in self.socket:
+            if frame.type is aiohttp.WSMsgType.TEXT:
+                self.told.append(json.loads(frame.data))
+            elif frame.data[0] == STATE:
+                self._state(frame.data)
+            self.news.set()
+        self.close_code = self.socket.close_code
+        self.news.set()
+
+    def _state(self, data: bytes) -> None:
+        now = time.monotonic()
+        before, self.head = self.head[5], HEAD.unpack_from(data)
+        self.states += 1
+        self.bytes += len(data)
+        self.played_s += now - (self._latest or now)
+        self._latest = now
+        if len(self.times) < MOST_KEPT:
+            self.times.append(now)
+        at, self.bases = HEAD.size, []
+        for agent in self.manifest["agents"]:
+            self.bases.append(_ROBOT.unpack_from(data, at))
+            at += _PERSON_BYTES if agent["kind"] == "human" else 12 + 2 * agent["joints"]
+        for _ in range(self.head[3]):
+            index, held, x, y, z, *_ = _OBJECT.unpack_from(data, at)
+            self.things[index] = Thing(held, (x, y, z))
+            at += _OBJECT.size
+        for index, position in _JOINT.iter_unpack(data[at:]):
+            self.joints[index] = position
+        for seq in range(before + 1, self.head[5] + 1):
+            if seq in self._sent:
+                self.delays.append(now - self._sent.pop(seq))
+
+    async def send(self, **message: Any) -> int:
+        """Sends a message; returns its number."""
+        seq, self.seq = self.seq, self.seq + 1
+        now = time.monotonic()
+        self._sent[seq] = now
+        text = {**message, "seq": seq, "ct": round(now * 1e3, 1), "rtt": round(self.rtt_ms, 1)}
+        await self.socket.send_str(json.dumps(text))
+        return seq
+
+    async def until(self, what: Any, seconds: float = 20.0) -> Any:
+        """Waits until ``what()`` is true, and returns it.
+
+        Raises:
+            TimeoutError: it was not.
+            ConnectionError: the socket has closed meanwhile.
+        """
+        end = time.monotonic() + seconds
+        while not (found := what()):
+            if self.close_code is not None:
+                raise ConnectionError(f"The server closed the connection ({self.close_code}).")
+            rest = end - time.monotonic()
+            if rest <= 0:
+                raise TimeoutError(f"Waited {seconds:g} s in vain; told: {self.told[-3:]}, state: {self.head}")
+            self.news.clear()
+            try:
+                await asyncio.wait_for(self.news.wait(), rest)
+            except TimeoutError:
+                continue
+        return found
+
+    def heard(self, name: str) -> list[Any]:
+        """What text frames said under a name."""
+        return [message[name] for message in self.told if name in message]
+
+    @property
+    def flags(self) -> int:
+        return self.head[1]
+
+    @property
+    def step(self) -> int:
+        return self.head[4]
+
+    @property
+    def ack(self) -> int:
+        """Number of the last message that has acted."""
+        return self.head[5]
+
+    @property
+    def rtt_ms(self) -> float:
+        """Time from a message to the state that has it, the last one [ms]; 0: none yet."""
+        return 1e3 * self.delays[-1] if self.delays else 0.0

@@ -1,0 +1,240 @@
+"""Scripted participants of a study: they read the consent, pass the checks and the tutorial, play all episodes and fill in the
+forms, as a page would, and are marked as bots (``client.browser`` is ``bot``)."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import math
+import random
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import aiohttp
+
+from h3data_studies.bots.client import BUSY, ENDED, Client
+
+DEVICE = {
+    "webgl": True, "ping_ms": 1, "fps": 60, "width": 1280, "height": 720, "browser": "bot", "system": "script",
+    "gpu": "none",
+}  # fmt: skip
+SAID = "Filled in by a script."
+DONE_M = 0.15
+"""A thing this near to its goal is where it belongs, as for the page."""
+REACTION_STEPS = (8, 20)
+"""From what a bot sees to what it does: 0.25 to 0.7 s, in steps, so that it does not depend on how fast the clock runs."""
+HESITATES = 0.3
+"""Share of decisions before which a bot steers a little by keys."""
+FACES_RAD = 0.1
+LATE_S, RETRY_S = 600.0, 1.0
+"""Nothing comes for this long: the participant gives up. Refusals are asked again after a second."""
+
+
+class ScriptedParticipant(Client):
+    """One participant, from consent to completion code. Chance follows from its name alone."""
+
+    view: dict[str, Any]
+
+    def __init__(
+        self, link: str, name: str, report: Callable[[str], None] = lambda _: None, *, pid: str = "", rejoin: str = "",
+        right: Mapping[tuple[str, str], float] | None = None,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            link: Of the study.
+            name: What chance follows from.
+            report: Called with what ended an episode.
+            pid: Its PROLIFIC_PID (default: 24 hexadecimal digits that follow from the name).
+            right: Right answers to checks, by form and item, which pages are not told.
+            rejoin: Code by which it goes on where it was (`h3data_studies.pseudonyms.rejoin_code`).
+        """
+        super().__init__(link)
+        self.name, self.report, self.rejoin, self.right = name, report, rejoin, right or {}
+        self.pid = pid or hashlib.sha256(name.encode()).hexdigest()[:24]
+        self.chance = random.Random(name)
+        """Of the episode."""
+
+    # --- the study ----------------------------------------------------------------------------------------------------
+    async def take_part(self) -> str:
+        """Does everything up to the end; returns the status there (``complete``, ``screened_out``, ...)."""
+        ids = {"PROLIFIC_PID": self.pid, "STUDY_ID": "bots", "SESSION_ID": self.name}
+        await self._ask("api/study", {"ids": ids, "rejoin": self.rejoin})
+        while (kind := self.stage["kind"]) != "end":
+            if kind == "consent":
+                await self._ask("api/study/consent", {"accept": True, "hash": self.stage["hash"], "ids": ids})
+            elif kind == "device":
+                await self._ask("api/study/device", DEVICE)
+            elif kind == "form":
+                await self._ask(
+                    "api/study/form",
+                    {
+                        "form": self.stage["form"],
+                        "block": self.stage["block"],
+                        "trial": self.stage["trial"],
+                        "answers": self.answers(),
+                    },
+                )
+            else:
+                await self._episode(is_tutorial=kind == "tutorial")
+                await self._ask("api/study")
+        return str(self.stage["status"])
+
+    @property
+    def stage(self) -> dict[str, Any]:
+        """What is to be done next."""
+        return self.view["stage"]
+
+    def answers(self) -> dict[str, Any]:
+        """Answers to the items of the form that is next, at random where there is no right one."""
+        chance = random.Random(f"{self.name}/{self.stage['form']}/{self.view['progress']['done']}")
+        answers: dict[str, Any] = {}
+        for item in self.stage["items"]:
+            if (self.stage["form"], item["id"]) in self.right:
+                answers[item["id"]] = self.right[self.stage["form"], item["id"]]
+            elif item["kind"] == "scale":
+                answers[item["id"]] = chance.randrange(
+                    int(item["min"]), int(item["max"]) + 1, int(item.get("step") or 1)
+                )
+            elif item["kind"] == "choice":
+                answers[item["id"]] = chance.randrange(len(item["options"]))
+            elif item["kind"] == "number":
+                answers[item["id"]] = chance.randint(int(item.get("min") or 0), int(item.get("max") or 100))
+            else:
+                answers[item["id"]] = SAID
+        return answers
+
+    async def _ask(self, path: str, body: dict[str, Any] | None = None) -> None:
+        """Posts something and keeps the view; asks again while the machine is busy.
+
+        Raises:
+            ConnectionError: it was refused for good.
+        """
+        while True:
+            async with self.http.post(self.link + path, json=body or {}) as answer:
+                if answer.status == 200:
+                    self.view = await answer.json()
+                    return
+                said = await answer.text()
+                if answer.status != 503:
+                    raise ConnectionError(f"{path}: {answer.status} {said}")
+            await asyncio.sleep(RETRY_S)
+
+    # --- an episode ---------------------------------------------------------------------------------------------------
+    async def _episode(self, *, is_tutorial: bool) -> None:
+        """Plays the episode that is next to its end, through lost connections."""
+        while True:
+            status = await self.sit()
+            while status == 503:
+                await asyncio.sleep(RETRY_S)
+                status = await self.sit()
+            if status in (409, 410):  # the episode has ended meanwhile
+                return
+            if status != 200:
+                raise ConnectionError(f"{status} {self.told[-1]}")
+            self.chance = random.Random(f"{self.name}/{self.view['progress']['done']}")
+            try:
+                await self.connect()
+                await self.until(lambda: self.step, LATE_S)
+                self.seq = self.ack + 1
+                await self._play()
+                over = (await self.until(lambda: self.heard("over"), LATE_S))[0]
+            except (ConnectionError, aiohttp.ClientError):
+                if self.heard("over"):
+                    return
+                await asyncio.sleep(RETRY_S)
+                continue
+            self.report("tutorial" if is_tutorial else over["ended"])
+            return
+
+    async def _play(self) -> None:
+        """Decides until the episode is over."""
+        while not self.over:
+            await self._pause(self.chance.randint(*REACTION_STEPS))
+            if self.over:
+                return
+            marker = (self.heard("hud") or [{}])[-1].get("marker")
+            if marker:
+                await self._do(k="goto", p=marker)
+            elif not self.manifest["goals"]:
+                await self._stroll()
+            elif 0 <= self.mine < len(self.manifest["goals"]):
+                await self._do(k="place", p=self.manifest["goals"][self.mine]["position"], lead=True)
+            else:
+                await self._fetch()
+
+    async def _fetch(self) -> None:
+        """Takes the nearest thing that is not where it belongs, once nothing shuts in its place or itself; waits where somebody
+        else has them all."""
+        x, z, _ = self.bases[self.me]
+        open_ = [k for k in range(len(self.manifest["goals"])) if not self._is_done(k) and self.things[k].held < 0]
+        if not open_:
+            await self._pause(30)
+            return
+        if self.chance.random() < HESITATES:
+            await self._steer(12)
+        gaps = {k: math.hypot(self.things[k].position[0] - x, self.things[k].position[2] - z) for k in open_}
+        nearest = min(gaps, key=gaps.__getitem__)
+        if (joint := self._barrier(nearest)) >= 0:
+            await self._do(k="open", j=joint, lead=True)
+            return
+        refusals = len(self.heard("why"))
+        await self._do(k="pick", o=nearest, lead=True)
+        if len(self.heard("why")) > refusals:
+            await self._face(self.things[nearest].position)  # the tutorial asks for it
+
+    async def _stroll(self) -> None:
+        await self._steer(30)
+
+    async def _steer(self, steps: int) -> None:
+        await self.send(k="move", f=round(self.chance.uniform(0.0, 0.6), 2), t=round(self.chance.uniform(-0.5, 0.5), 2))
+        await self._pause(steps)
+        if not self.over:
+            await self.send(k="move", f=0, t=0)
+
+    async def _face(self, point: tuple[float, float, float]) -> None:
+        """Turns towards a point and looks at it for a while."""
+
+        def left() -> float:
+            x, z, heading = self.bases[self.me]
+            return math.remainder(math.atan2(z - point[2], point[0] - x) - heading, math.tau)
+
+        if abs(left()) > FACES_RAD:
+            side = math.copysign(0.4, left())
+            await self.send(k="move", f=0, t=side)
+            await self.until(lambda: self.over or left() * side < FACES_RAD * abs(side), LATE_S)
+            if not self.over:
+                await self.send(k="move", f=0, t=0)
+        await self._pause(25)
+
+    async def _do(self, **message: Any) -> None:
+        """Asks for something and waits until it is done, or has been refused."""
+        seq = await self.send(**message)
+        await self.until(lambda: self.over or (self.ack >= seq and not self.flags & BUSY), LATE_S)
+
+    async def _pause(self, steps: int) -> None:
+        until = self.step + steps
+        await self.until(lambda: self.over or self.step >= until, LATE_S)
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended."""
+        return bool(self.flags & ENDED or self.heard("over"))
+
+    @property
+    def me(self) -> int:
+        return int(self.manifest["me"])
+
+    @property
+    def mine(self) -> int:
+        """The thing that the bot holds; -1: none."""
+        return next((k for k, thing in enumerate(self.things) if thing.held == self.me), -1)
+
+    def _barrier(self, k: int) -> int:
+        """The door or drawer to open before thing ``k`` is taken: what shuts in its goal, then what it is in; -1: none."""
+        told = self.heard("barriers")
+        own, of_goal = told[-1][k] if told else (-1, -1)
+        return of_goal if of_goal >= 0 else own
+
+    def _is_done(self, k: int) -> bool:
+        thing, goal = self.things[k], self.manifest["goals"][k]["position"]
+        return thing.held < 0 and math.dist(thing.position, goal) < DONE_M

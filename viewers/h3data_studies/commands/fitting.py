@@ -1,0 +1,58 @@
+"""``h3data study``: the analysis of studies with people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from h3data.commands.command import FailedOption, ForceFlag, JsonFlag, Outcome, StepsModelOption, claim_file, write_text
+from h3data.errors import InputError
+
+
+@dataclass(frozen=True)
+class StudyFit:
+    """Estimate the means of a study's conditions with mixed models, and their pairwise differences.
+
+    Recordings say who took part under which condition (h3data import --manifest). Steps to success get a Poisson model with
+    random intercepts of participants and scenes, as in Habitat 3.0, 0/1 metrics a binomial one; RE is the ratio of the means.
+
+    Examples:
+        h3data study fit rec/
+        h3data study fit rec/ --model observation --failed limit -o study.json
+    """
+
+    recordings: tyro.conf.Positional[tuple[Path, ...]]
+    """.mcap files, datasets, and folders of these, which are walked."""
+    profile: str | None = None
+    """Metrics profile (default: that of the recordings' task)."""
+    model: StepsModelOption = "auto"
+    failed: FailedOption = "leave-out"
+    no_scenes: bool = False
+    """Leave out the random intercepts of scenes."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Also write the analysis to this .json file."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        import json
+
+        from h3data.metrics import StudyModel, analyse_study, find_profile, measure_files
+
+        if not self.recordings:
+            raise InputError("Expected at least one recording (.mcap) or dataset.")
+        if self.out is not None:
+            claim_file(self.out, force=self.force, suffix=".json")
+        table = measure_files(self.recordings, self.profile)
+        groups = ("participant",) if self.no_scenes else ("participant", "scene")
+        analysis = analyse_study(
+            table.episodes,
+            find_profile(self.profile or table.profile, table.episodes[0].task),
+            StudyModel(steps=self.model, failed=self.failed, random=groups),
+        )
+        if self.out is not None:
+            write_text(self.out, json.dumps(analysis.to_dict(), indent=2) + "\n")
+        return Outcome(text=analysis.to_text(), data=analysis.to_dict())

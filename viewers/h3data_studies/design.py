@@ -1,0 +1,262 @@
+"""What a study file says, as records that the command and the server share."""
+
+from __future__ import annotations
+
+from datetime import date
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from h3data_play.plan import PlayPlan
+
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
+Text = str | dict[str, str]
+"""Words for participants: the same in all languages, or by language."""
+Minutes = Annotated[float, Meta(gt=0, le=10_000)]
+Count = Annotated[int, Meta(ge=1, le=1000)]
+
+
+class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fields that are misspelled in a file are errors."""
+
+
+class Condition(Record, frozen=True):
+    """What participants play in one block of episodes."""
+
+    name: Name
+    app: str = "rearrange"
+    play_as: Literal["person", "robot"] = "person"
+    partner: str | None = None
+    """Policy of everybody whom nobody plays, ``weights:FILE``, or ``solo``; None: the task's default."""
+    rules: dict[str, Any] = {}
+    """Rules of the task that differ from the app's."""
+    text: Text = ""
+    """Said before the first episode. It should not give the condition away."""
+
+    @property
+    def is_solo(self) -> bool:
+        """Whether nobody else takes part."""
+        return self.partner == "solo"
+
+
+class Consent(Record, frozen=True):
+    """What participants agree to."""
+
+    version: Name
+    text: Text = ""
+    file: str = ""
+    """A text file beside the study file, in place of ``text``."""
+
+
+class Device(Record, frozen=True):
+    """Computers and connections that are good enough."""
+
+    max_ping_ms: Annotated[float, Meta(gt=0)] = 250.0
+    """Median round trip."""
+    min_width: Annotated[int, Meta(ge=0)] = 640
+    """Of the window [px]."""
+    min_fps: Annotated[float, Meta(ge=0)] = 15.0
+    """Pictures per second of a blank scene."""
+    touch: bool = True
+    """Whether phones and tablets may take part."""
+
+
+class Tutorial(Record, frozen=True):
+    """The practice that has to be passed before anything counts."""
+
+    app: str = "tutorial"
+    rules: dict[str, Any] = {}
+    attempts: Count = 5
+    """Who has not passed after so many is screened out."""
+    skip: bool = False
+    text: Text = ""
+
+
+class DropOut(Record, frozen=True):
+    """When a participant counts as gone, and their place is given to somebody else."""
+
+    idle_minutes: Minutes = 20.0
+    """Nothing pressed, clicked or answered for so long; pauses count."""
+    total_minutes: Minutes = 240.0
+    """From consent to the end."""
+    max_slip: Annotated[float, Meta(ge=0, le=1)] = 0.01
+    """Episodes of which a larger share of steps came late are left out of the report."""
+
+
+class Recruiting(Record, frozen=True):
+    """Where participants come from and what they take back."""
+
+    require_id: bool = False
+    """Only people whose link has ``PROLIFIC_PID`` may take part."""
+    id_pattern: str | dict[str, str] | None = None
+    """Regular expression of a whole ``PROLIFIC_PID``, or of each id by its name; None: 24 hexadecimal digits."""
+    completion_code: str = ""
+    completion_url: str = ""
+    """Opened at the end; ``{code}`` stands for the code."""
+    screen_out_code: str = ""
+    screen_out_url: str = ""
+    unique_codes: bool = False
+    """Whether everybody who finishes gets a completion code of their own (``h3data study pay`` lists them)."""
+
+
+class Exclude(Record, frozen=True):
+    """A rule, written before anybody takes part, by which the report leaves out participants or episodes."""
+
+    name: Name
+    what: str
+    """A measure (`h3data_studies.exclusions`)."""
+    of: Literal["participant", "trial"] = "participant"
+    above: float | None = None
+    below: float | None = None
+    """Left out is whoever is above the one or below the other."""
+
+
+class Bonus(Record, frozen=True):
+    """What participants who finish are paid beyond the fixed reward."""
+
+    base: Annotated[float, Meta(ge=0)] = 0.0
+    per_success: Annotated[float, Meta(ge=0)] = 0.0
+    """For each episode that ended with success."""
+    most: Annotated[float, Meta(ge=0)] | None = None
+
+
+class Item(Record, frozen=True):
+    """A question of a form."""
+
+    id: Name
+    text: Text
+    kind: Literal["scale", "choice", "text", "number"] = "scale"
+    low: Text = ""
+    """Words at the lower end of a scale."""
+    high: Text = ""
+    min: float = 1
+    max: float = 7
+    step: Annotated[float, Meta(gt=0)] = 1
+    options: list[Text] = []
+    """Of a choice; the answer is the number of an option, from 0."""
+    required: bool = True
+    reversed: bool = False
+    """A high answer counts as a low one in the mean of the form."""
+    right: float | list[float] | None = None
+    """The answer, or the answers, that are right (of a choice: the number of the option, from 0): the item is a check, and does
+    not count in the mean of the form. Pages are not told it."""
+
+    @property
+    def right_answers(self) -> list[float] | None:
+        """All answers that are right; None: the item is no check."""
+        return [self.right] if isinstance(self.right, int | float) else self.right
+
+    def is_right(self, answer: float | str | None) -> bool:
+        """Whether an answer passes; every answer does where the item is no check."""
+        return self.right_answers is None or answer in self.right_answers
+
+
+class Form(Record, frozen=True):
+    """Questions on one page."""
+
+    id: Annotated[str, Meta(pattern=r"^([A-Za-z0-9][A-Za-z0-9_.-]{0,39})?$")] = ""
+    builtin: str = ""
+    """``nasa_tlx``, ``fluency`` or ``trust`` instead of items of one's own."""
+    after: Literal["consent", "tutorial", "trial", "condition", "end"] = "condition"
+    """``trial``: after each episode."""
+    attempts: Count = 1
+    """How often checks (items with ``right``) may be answered."""
+    fail: Literal["screen_out", "note"] = "screen_out"
+    """What follows when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
+    again: Text = ""
+    """Said above the form when a check was not passed and there is another attempt."""
+    conditions: list[str] = []
+    """Only after these (default: all; built-in forms about the robot leave out those without one)."""
+    title: Text = ""
+    text: Text = ""
+    items: list[Item] = []
+
+    @property
+    def has_checks(self) -> bool:
+        """Whether some answers are right and others wrong."""
+        return any(item.right is not None for item in self.items)
+
+
+class Design(Record, frozen=True):
+    """A study file."""
+
+    name: Name
+    version: Name
+    title: Text
+    participants: Annotated[int, Meta(ge=1, le=10_000)]
+    retention: date
+    """Recordings and answers are to be deleted by this day."""
+    contact: str
+    """Whom participants ask, such as an e-mail address."""
+    scenes: list[str]
+    conditions: list[Condition]
+    consent: Consent
+    episodes: Count = 10
+    """Per condition."""
+    seed: Annotated[int, Meta(ge=0)] = 0
+    languages: list[Name] = msgspec.field(default_factory=lambda: ["en"])
+    """The first is the default."""
+    minutes: Count | None = None
+    """How long it takes, as participants are told."""
+    about: Text = ""
+    """Said above the consent text."""
+    device: Device = Device()
+    tutorial: Tutorial = Tutorial()
+    dropout: DropOut = DropOut()
+    recruiting: Recruiting = Recruiting()
+    forms: list[Form] = []
+    exclude: list[Exclude] = []
+    bonus: Bonus | None = None
+    texts: dict[str, dict[str, str]] = {}
+    """Words of the pages, by language and name, that differ from the built-in ones."""
+
+    def condition(self, name: str) -> Condition:
+        """The condition with a name."""
+        return next(c for c in self.conditions if c.name == name)
+
+    def say(self, text: Text, language: str) -> str:
+        """A text in a language; in the study's first one where it has none in that."""
+        if isinstance(text, str):
+            return text
+        return (
+            text.get(language)
+            or text.get(language.partition("-")[0])
+            or text.get(self.languages[0])
+            or next(iter(text.values()), "")
+        )
+
+
+class Block(msgspec.Struct, frozen=True):
+    """Episodes of one condition in one scene."""
+
+    condition: str
+    scene: str
+    episodes: tuple[int, ...]
+
+
+class Place(msgspec.Struct, frozen=True):
+    """What one participant plays: a practice episode of the first block's scene, then the blocks."""
+
+    practice: tuple[int, ...]
+    blocks: tuple[Block, ...]
+
+
+class StudyPlan(msgspec.Struct, frozen=True, kw_only=True):
+    """A study ready to be served: made by the command, read by the server and by workers."""
+
+    design: Design
+    out: str
+    """Folder of the study."""
+    places: tuple[Place, ...]
+    """In the order in which participants get them."""
+    plans: tuple[PlayPlan, ...]
+    """Of every condition (``""``: the tutorial) in every scene."""
+    numbers: dict[str, int]
+    """Number of the plan of ``condition|scene``."""
+    key_file: str
+    """Of the secret that makes pseudonyms."""
+
+    def number(self, condition: str, scene: str) -> int:
+        """Number of the plan of a condition, or of the tutorial (empty name), in a scene."""
+        return self.numbers[f"{condition}|{scene}"]

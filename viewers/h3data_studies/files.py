@@ -1,0 +1,367 @@
+"""Reading a study file, checking it, and planning who plays what. This runs in the command, not in the server."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import tomllib
+from pathlib import Path
+
+import msgspec
+
+from h3data.errors import InputError, did_you_mean
+from h3data.habitat.scene_names import named_scenes
+from h3data.metrics import plan_sessions
+from h3data_play.live import Table
+from h3data_play.plan import PlayPlan
+from h3data_studies.design import Block, Condition, Consent, Design, Exclude, Form, Place, StudyPlan, Text
+from h3data_studies.exclusions import PARTICIPANT_MEASURES, TRIAL_MEASURES
+from h3data_studies.forms import BUILTIN, checked_answers, resolved
+from h3data_studies.pseudonyms import IDS
+from h3data_studies.store import DATABASE, StudyStore
+from h3data_studies.texts import ENGLISH, LIVE, SHIPPED, missing, shipped
+from sim_kinematic.policies.learned import PREFIX as WEIGHTS
+from sim_kinematic.policies.learned import stamped
+
+DESIGN_FILE = "design.json"
+"""In the folder of a study: what its file said when the first participant came."""
+_SECTION = re.compile(r" - at `\$\.?(.*)`$")
+
+
+def read_design(path: Path) -> Design:
+    """The study file at ``path``, checked but for what needs the simulator.
+
+    Raises:
+        InputError: it cannot be read, or says something that is not possible; the message names the place.
+    """
+    try:
+        text = path.read_bytes()
+        data = tomllib.loads(text.decode())
+    except OSError as fault:
+        raise InputError(
+            f"Cannot read the study file ({fault.strerror}): {path}. Hint: h3data study new {path}"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise InputError(f"The study file is not valid TOML: {fault}. File: {path}") from None
+    try:
+        design = msgspec.convert(data, Design)
+    except msgspec.ValidationError as fault:
+        raise InputError(f"{_in_words(str(fault))} File: {path}") from None
+    design = _with_consent(design, path)
+    try:
+        _check(design)
+        design = _with_weights(design, path)
+    except InputError as fault:
+        raise InputError(f"{fault} File: {path}") from None
+    return design
+
+
+def _in_words(fault: str) -> str:
+    """``Object contains unknown field `x` - at `$.device` `` as a sentence."""
+    found = _SECTION.search(fault)
+    where = re.sub(r"\[(\d+)\]", lambda m: f" number {int(m[1]) + 1}", found[1]).replace(".", ", ") if found else ""
+    text = _SECTION.sub("", fault)
+    if unknown := re.search(r"unknown field `(.*)`", text):
+        text = f"Unknown setting {unknown[1]!r}"
+    elif missing := re.search(r"missing required field `(.*)`", text):
+        text = f"The setting {missing[1]!r} is missing"
+    else:
+        text = text.replace("`", "'")
+    return f"{text}{f' in {where}' if where else ''}."
+
+
+def _with_consent(design: Design, path: Path) -> Design:
+    consent = design.consent
+    if consent.file and consent.text:
+        raise InputError(f"Give the consent's text or its file, not both. File: {path}")
+    if consent.file:
+        file = path.parent / consent.file
+        try:
+            text = file.read_text("utf-8")
+        except (OSError, UnicodeDecodeError) as fault:
+            raise InputError(f"Cannot read the text of the consent ({fault}): {file}") from None
+        design = msgspec.structs.replace(design, consent=Consent(version=consent.version, text=text))
+    if not design.consent.text:
+        raise InputError(f"The consent has no text: set text or file in [consent]. File: {path}")
+    return design
+
+
+def _with_weights(design: Design, path: Path) -> Design:
+    """Files of weights, named from the study file's folder, with their digest: other weights are another study."""
+    base, conditions = path.parent.resolve(), []
+    for condition in design.conditions:
+        if condition.partner is not None and condition.partner.startswith(WEIGHTS):
+            file = base / Path(condition.partner.removeprefix(WEIGHTS)).expanduser()
+            condition = msgspec.structs.replace(condition, partner=stamped(f"{WEIGHTS}{file}"))
+        conditions.append(condition)
+    return _with_relative(msgspec.structs.replace(design, conditions=conditions), base)
+
+
+def _with_relative(design: Design, base: Path) -> Design:
+    """Files of weights by their way from the study file's folder: a path of this machine is nobody else's business."""
+    conditions = [
+        msgspec.structs.replace(c, partner=WEIGHTS + os.path.relpath(c.partner.removeprefix(WEIGHTS), base))
+        if c.partner is not None and c.partner.startswith(f"{WEIGHTS}/")
+        else c
+        for c in design.conditions
+    ]
+    return msgspec.structs.replace(design, conditions=conditions)
+
+
+def _check(design: Design) -> None:
+    _distinct("conditions", [c.name for c in design.conditions])
+    if not design.conditions:
+        raise InputError("Expected at least one [[conditions]].")
+    if not design.scenes:
+        raise InputError('Expected at least one of scenes, such as scenes = ["small:1"].')
+    if not design.languages:
+        raise InputError('Expected at least one of languages, such as languages = ["en"].')
+    if not re.search(r"\S", design.contact):
+        raise InputError("Expected whom participants ask (contact), such as an e-mail address.")
+    for language, words in design.texts.items():
+        if language not in design.languages:
+            raise InputError(f"[texts.{language}] is of a language that languages does not name.")
+        known = [*ENGLISH, *(f"live_{name}" for name in LIVE)]
+        if unknown := [name for name in words if name not in known]:
+            raise InputError(
+                f"There is no text {unknown[0]!r} in [texts.{language}].{did_you_mean(unknown[0], known)} Expected some of: "
+                f"{', '.join(known)}."
+            )
+    for language in design.languages:
+        _check_language(design, language)
+    _check_patterns(design.recruiting.id_pattern)
+    names = {c.name for c in design.conditions}
+    forms = [resolved(_known(form)) for form in design.forms]
+    for form in forms:
+        if not form.id or not form.items:
+            raise InputError('Every one of [[forms]] needs a builtin, or an id and items: builtin = "nasa_tlx".')
+        if strangers := set(form.conditions) - names:
+            raise InputError(f"The form {form.id} names a condition that is not there: {sorted(strangers)[0]}.")
+        if form.conditions and form.after not in ("condition", "trial"):
+            raise InputError(f'The form {form.id} names conditions, so it needs after = "condition" or "trial".')
+        _distinct(f"items of the form {form.id}", [item.id for item in form.items])
+        _check_answers(form)
+        for item in form.items:
+            if item.kind == "choice" and len(item.options) < 2:
+                raise InputError(f"The choice {item.id} of the form {form.id} needs two options or more.")
+            if not item.min < item.max:
+                raise InputError(f"The item {item.id} of the form {form.id} needs a min below its max.")
+    # practice has no number by which a page could tell the two apart
+    _distinct("forms", [f"{form.id} after the {form.after}".replace("tutorial", "consent") for form in forms])
+    _distinct("rules of [[exclude]]", [rule.name for rule in design.exclude])
+    for rule in design.exclude:
+        _check_rule(rule)
+    if design.recruiting.unique_codes and design.recruiting.completion_code:
+        raise InputError("Give completion_code, or unique_codes = true, not both.")
+    for text in _texts(design):
+        if isinstance(text, dict) and (strange := set(text) - set(design.languages)):
+            raise InputError(f"A text is in the language {sorted(strange)[0]!r}, which languages does not name.")
+        if isinstance(text, dict) and (lacks := [language for language in design.languages if language not in text]):
+            raise InputError(f"A text lacks the study's language {lacks[0]!r}: {text}")
+
+
+def _check_language(design: Design, language: str) -> None:
+    """A participant reads everything in one language."""
+    lacks = missing(design, language)
+    if lacks:
+        shown = ", ".join(lacks[:8]) + (f" and {len(lacks) - 8} more" if len(lacks) > 8 else "")
+        raise InputError(
+            f"There are no texts in the language {language!r}: the package has {', '.join(SHIPPED)}. Expected in "
+            f"[texts.{language}] also: {shown}."
+        )
+    if shipped(language) is None and (builtin := [form.builtin for form in design.forms if form.builtin]):
+        raise InputError(
+            f"The built-in form {builtin[0]} has no texts in the language {language!r}, only in {', '.join(SHIPPED)}. Expected "
+            "a form with items of its own."
+        )
+
+
+def _check_answers(form: Form) -> None:
+    """Checks that what is right in a form can be answered, and is not told by a rule without any check."""
+    for item in form.items:
+        right = item.right_answers
+        if right is None:
+            continue
+        if item.kind == "text" or not right:
+            raise InputError(
+                f"The item {item.id} of the form {form.id} needs numbers as right answers, and is no text."
+            )
+        for value in right:
+            why = checked_answers(Form(id=form.id, items=[item]), {item.id: value})[1]
+            if why:
+                raise InputError(f"The right answer of the item {item.id} of the form {form.id} cannot be given. {why}")
+    if not form.has_checks and (form.attempts != 1 or form.fail != "screen_out" or form.again):
+        raise InputError(f"The form {form.id} has attempts, fail or again, so one of its items needs a right answer.")
+
+
+def _check_rule(rule: Exclude) -> None:
+    measures = PARTICIPANT_MEASURES if rule.of == "participant" else TRIAL_MEASURES
+    if rule.what not in measures:
+        raise InputError(
+            f"The rule {rule.name} of [[exclude]] asks for {rule.what!r}.{did_you_mean(rule.what, measures)} Expected for "
+            f'of = "{rule.of}" one of: {", ".join(measures)}.'
+        )
+    if rule.above is None and rule.below is None:
+        raise InputError(f"The rule {rule.name} of [[exclude]] needs above or below.")
+
+
+def with_id_pattern(design: Design, pattern: str | dict[str, str] | None) -> Design:
+    """The design with other formats of ids."""
+    recruiting = msgspec.structs.replace(design.recruiting, id_pattern=pattern)
+    return msgspec.structs.replace(design, recruiting=recruiting)
+
+
+def _check_patterns(given: str | dict[str, str] | None) -> None:
+    patterns = {"PROLIFIC_PID": given} if isinstance(given, str) else given or {}
+    for name, pattern in patterns.items():
+        if name not in IDS:
+            raise InputError(f"Unknown id {name!r} in id_pattern.{did_you_mean(name, IDS)} Expected: {', '.join(IDS)}.")
+        try:
+            re.compile(pattern)
+        except re.error as fault:
+            raise InputError(f"The id_pattern of {name} is not a regular expression ({fault}): {pattern!r}.") from None
+
+
+def _known(form: Form) -> Form:
+    name = form.builtin
+    if name and name not in BUILTIN:
+        raise InputError(
+            f"Unknown built-in form {name!r}.{did_you_mean(name, BUILTIN)} Expected one of: {', '.join(BUILTIN)}."
+        )
+    return form
+
+
+def _texts(design: Design) -> list[Text]:
+    texts: list[Text] = [design.title, design.about, design.consent.text, design.tutorial.text]
+    texts += [c.text for c in design.conditions]
+    for form in design.forms:
+        texts += [form.title, form.text, form.again]
+        for item in form.items:
+            texts += [item.text, item.low, item.high, *item.options]
+    return texts
+
+
+def _distinct(what: str, names: list[str]) -> None:
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"Expected different {what}, got {twice!r} twice.")
+
+
+def study_folder(path: Path, design: Design) -> Path:
+    """Where a study keeps what it records: beside its file, with its name and version."""
+    return path.parent / f"{design.name}-{design.version}"
+
+
+def bots_folder(folder: Path) -> Path:
+    """Where scripted participants leave what would lie in a study's ``folder``."""
+    return folder.with_name(folder.name + "-bots")
+
+
+def deal(design: Design) -> tuple[Place, ...]:
+    """Deals conditions, scenes and episodes to all participants.
+
+    Raises:
+        InputError: there are no such scenes.
+    """
+    scenes = scene_names(design)
+    practice = 0 if design.tutorial.skip else 1
+    pool = [str(k) for k in range(math.ceil(len(design.conditions) / len(scenes)) * design.episodes + practice)]
+    sessions = plan_sessions(
+        design.participants, [c.name for c in design.conditions], dict.fromkeys(scenes, pool),
+        episodes_per_condition=design.episodes, training_episodes=practice, study=design.name, seed=design.seed,
+    )  # fmt: skip
+    return tuple(
+        Place(
+            practice=tuple(int(e) for e in session.training),
+            blocks=tuple(Block(b.condition, b.scene, tuple(int(e) for e in b.episodes)) for b in session.blocks),
+        )
+        for session in sessions
+    )
+
+
+def scene_names(design: Design) -> list[str]:
+    """Each home of a study by a name of its own."""
+    return list(dict.fromkeys(named.name for text in design.scenes for named in named_scenes(text)))
+
+
+def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
+    """A study ready to be served; above a ``speed`` of 1 time runs faster, for scripted participants.
+
+    Raises:
+        InputError: there are no such scenes, apps, policies or rules.
+    """
+    plans: list[PlayPlan] = []
+    numbers: dict[str, int] = {}
+    for name, condition in (("", _tutorial(design)), *((c.name, c) for c in design.conditions)):
+        for scene in scene_names(design):
+            plan = PlayPlan(
+                app=condition.app, out=str(folder.resolve()), seats=(condition.play_as,), partner=condition.partner,
+                scenes=scene, seed=design.seed, speed=speed, rules=condition.rules,
+                weights_in=str(folder.resolve().parent),
+            )  # fmt: skip
+            if not any(key.startswith(f"{name}|") for key in numbers):
+                _check_playable(name, plan)
+            numbers[f"{name}|{scene}"] = len(plans)
+            plans.append(plan)
+    return StudyPlan(
+        design=design, out=str(folder.resolve()), places=deal(design), plans=tuple(plans), numbers=numbers,
+        key_file=str(key_file(folder)),
+    )  # fmt: skip
+
+
+def key_file(folder: Path) -> Path:
+    """The secret of a study: beside its folder, so that whoever gets the folder does not get the key."""
+    return folder.resolve().with_name(folder.resolve().name + ".key")
+
+
+def _check_playable(name: str, plan: PlayPlan) -> None:
+    try:
+        Table(plan)
+    except (InputError, TypeError) as fault:  # TypeError: rules that the task does not have
+        where = f"condition {name}" if name else "tutorial"
+        raise InputError(f"The {where} cannot be played: {str(fault).replace('replace() got', 'rules have')}") from None
+
+
+def _tutorial(design: Design) -> Condition:
+    """The tutorial as a condition, in the seat of the first one."""
+    said = design.tutorial
+    return Condition(
+        name="tutorial", app=said.app, play_as=design.conditions[0].play_as, partner="solo", rules=said.rules
+    )
+
+
+def open_study(path: Path) -> tuple[Path, Design]:
+    """Folder and design of a study that has begun, from its file or its folder; of one that only bots have played, theirs.
+
+    Raises:
+        InputError: there is none, or nobody has begun it.
+    """
+    folder = path if path.is_dir() else study_folder(path, read_design(path))
+    if not (folder / DESIGN_FILE).is_file() and (bots_folder(folder) / DESIGN_FILE).is_file():
+        folder = bots_folder(folder)
+    try:
+        design = msgspec.json.decode((folder / DESIGN_FILE).read_bytes(), type=Design)
+    except FileNotFoundError:
+        raise InputError(
+            f"Expected a study file or the folder of a study, in which there is a {DESIGN_FILE}: {folder}. Hint: h3data study "
+            "run begins a study."
+        ) from None
+    except msgspec.MsgspecError as fault:
+        raise InputError(
+            f"The study's {DESIGN_FILE} is damaged or of another version: {fault}. Folder: {folder}"
+        ) from None
+    return folder, _with_relative(design, folder.resolve().parent)  # versions before 0.3 kept the whole path
+
+
+def open_store(folder: Path, design: Design, *, read_only: bool = True) -> StudyStore:
+    """Participants of a study. Changes to a ``read_only`` one are not kept.
+
+    Raises:
+        InputError: nobody has taken part.
+    """
+    if not (folder / DATABASE).is_file():
+        bots = bots_folder(folder)
+        hint = f"bots have: {bots}" if (bots / DATABASE).is_file() else "h3data study run begins it."
+        raise InputError(f"Nobody has taken part in this study yet: {folder}. Hint: {hint}")
+    return StudyStore(design, deal(design), folder, read_only=read_only)

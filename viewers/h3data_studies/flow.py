@@ -1,0 +1,229 @@
+"""The order of what a participant does, as a state machine without any input or output.
+
+What has happened is a list of rows (stage, data); the state follows from them, so that whatever is on the disk after a crash is
+a state, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from h3data_studies.design import Design, Form, Place
+from h3data_studies.forms import checked_answers, forms_after, wrong_items
+
+ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN = "active", "complete", "screened_out", "dropped", "withdrawn"
+STATUSES = (ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN)
+SMALL = "small_window"
+"""Why a device is refused for now; also the row of its last report."""
+CHECK, FAILED = "check", "failed_check"
+"""Rows of answers that did not pass a form's checks; why somebody was screened out who did not pass in the last attempt."""
+PASSED = "success"
+"""How an episode of the tutorial ends that has been passed."""
+
+
+class NotNow(Exception):
+    """The participant is somewhere else, or what they sent cannot be taken; the text is for them."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Something to do: ``device``, ``tutorial``, ``episode``, ``form`` or ``end``."""
+
+    kind: str
+    block: int = 0
+    """From 1; 0: before the blocks; of forms at the end, one more than there are blocks."""
+    trial: int = 0
+    """Of an episode and of a form after it, within its block, from 1."""
+    form: str = ""
+    after: str = ""
+    """Of a form: `Form.after`."""
+    row: str = ""
+    """`key`, where that does not follow from the above."""
+
+    @property
+    def key(self) -> str:
+        """Its name in rows."""
+        return self.row or "/".join(str(part) for part in (self.kind, self.block, self.trial or self.form) if part)
+
+
+def stages_of(design: Design, place: Place) -> tuple[Stage, ...]:
+    """Everything that a participant does after having consented."""
+    stages = [Stage("device")]
+    first = [form.id for form in forms_after(design, "consent")]
+    stages += [Stage("form", form=form, after="consent") for form in first]
+    if not design.tutorial.skip:
+        stages.append(Stage("tutorial"))
+    stages += [Stage("form", form=form.id, after="tutorial") for form in forms_after(design, "tutorial")]
+    for k, block in enumerate(place.blocks, 1):
+        asked = [form.id for form in forms_after(design, "trial", block.condition)]
+        for trial in range(1, len(block.episodes) + 1):
+            stages.append(Stage("episode", k, trial))
+            stages += [Stage("form", k, trial, form, "trial", f"form/{k}/{trial}/{form}") for form in asked]
+        forms = forms_after(design, "condition", block.condition)
+        stages += [Stage("form", k, form=form.id, after="condition") for form in forms]
+    for form in forms_after(design, "end"):
+        row = f"form/end/{form.id}" if form.id in first else f"form/{form.id}"
+        stages.append(Stage("form", len(place.blocks) + 1, form=form.id, after="end", row=row))
+    return tuple(stages)
+
+
+@dataclass
+class Progress:
+    """How far a participant has come."""
+
+    design: Design
+    place: Place
+    rows: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """What has been done, by the key of its stage. Attempts at the tutorial have rows of their own (``tutorial/1``)."""
+    status: str = ACTIVE
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        self.stages = stages_of(self.design, self.place)
+
+    @property
+    def stage(self) -> Stage:
+        """What comes next."""
+        if self.status != ACTIVE:
+            return Stage("end")
+        return next((stage for stage in self.stages if stage.key not in self.rows), Stage("end"))
+
+    @property
+    def done(self) -> int:
+        """Number of stages that are over."""
+        return sum(stage.key in self.rows for stage in self.stages)
+
+    @property
+    def attempts(self) -> int:
+        """Episodes of the tutorial that are over."""
+        return sum(key.startswith("tutorial/") for key in self.rows)
+
+    # --- what participants do -----------------------------------------------------------------------------------------
+    def device(self, report: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        """Notes what is known about the device; where it is not good enough, that is the end. A window that is too small can
+        be enlarged, and the check is made again, unless the report is the ``final`` one.
+
+        Returns:
+            The new rows.
+
+        Raises:
+            NotNow: it has been checked.
+        """
+        self._require("device")
+        limits = self.design.device
+        reasons = {
+            "no_webgl": not report["webgl"],
+            "slow_connection": report["ping_ms"] > limits.max_ping_ms,
+            "slow_graphics": report["fps"] < limits.min_fps,
+            "touch": report["touch"] and not limits.touch,
+            SMALL: report["width"] < limits.min_width,
+        }
+        reason = next((name for name, holds in reasons.items() if holds), "")
+        if reason == SMALL and not report.get("final"):
+            return self._note({SMALL: report})
+        if reason:
+            self.end(SCREENED_OUT, reason)
+        return self._note({"device": report})
+
+    def answer(
+        self, form_id: str, answers: dict[str, Any], block: int | None = None, trial: int | None = None
+    ) -> dict[str, dict[str, Any]]:
+        """Takes the answers of the form that is next. Where they do not pass its checks, it is asked again, or, after the last
+        attempt, noted and perhaps the end.
+
+        Args:
+            form_id: The form that was filled in.
+            answers: By item.
+            block: The block that it was filled in for (`Stage.block`); None: the present one.
+            trial: The episode of the block, likewise.
+
+        Returns:
+            The new rows.
+
+        Raises:
+            NotNow: another form is next, or an answer is missing or impossible.
+        """
+        stage = self._require("form")
+        if stage.form != form_id or block not in (None, stage.block) or trial not in (None, stage.trial):
+            raise NotNow("This form has been answered, or comes later. Reload the page.")
+        taken, why = checked_answers(self.form, answers)
+        if why:
+            raise NotNow(why)
+        filled: dict[str, Any] = {"form": form_id, "answers": taken}
+        if self.form.has_checks:
+            filled |= {"wrong": wrong_items(self.form, taken), "attempt": self.tries + 1}
+            if filled["wrong"] and filled["attempt"] < self.form.attempts:
+                return self._note({f"{CHECK}/{stage.key}/{filled['attempt']}": filled})
+            if filled["wrong"] and self.form.fail == "screen_out":
+                self.end(SCREENED_OUT, FAILED)
+        return self._note({stage.key: filled})
+
+    @property
+    def tries(self) -> int:
+        """How often the form that is next has been answered without passing its checks."""
+        return sum(key.startswith(f"{CHECK}/{self.stage.key}/") for key in self.rows)
+
+    def require_here(self, block: int | None, trial: int | None) -> None:
+        """
+        Raises:
+            NotNow: a page names an episode (`Stage.block`, `Stage.trial`) that is not the present one.
+        """
+        stage = self.stage
+        if block not in (None, stage.block) or (stage.block and trial not in (None, stage.trial)):
+            raise NotNow("This page is of an earlier part of the study. Reload it.")
+
+    @property
+    def form(self) -> Form:
+        """The form that is next."""
+        stage = self.stage
+        return self.form_of(stage)[0]
+
+    def form_of(self, stage: Stage) -> tuple[Form, str]:
+        """The form of a stage, and the condition that it is about (empty: none)."""
+        condition = self.place.blocks[stage.block - 1].condition if stage.after in ("trial", "condition") else ""
+        forms = forms_after(self.design, stage.after, condition)
+        return next(form for form in forms if form.id == stage.form), condition
+
+    # --- what games do ------------------------------------------------------------------------------------------------
+    def over(self, key: str, result: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        """An episode is over.
+
+        Args:
+            key: Of the stage, or of the attempt at the tutorial.
+            result: ``ended``, ``steps``, ``slipped`` and more.
+
+        Returns:
+            The new rows; none where it is known.
+        """
+        if key in self.rows:
+            return {}
+        rows = {key: result}
+        if key.startswith("tutorial/"):
+            self.rows |= rows
+            if result["ended"] == PASSED:
+                rows["tutorial"] = {"attempts": self.attempts}
+            elif self.attempts >= self.design.tutorial.attempts and self.status == ACTIVE:
+                self.end(SCREENED_OUT, "tutorial")
+        if (
+            result["ended"] == "closed" and self.status == ACTIVE
+        ):  # only the participant closes an episode before its end
+            self.end(WITHDRAWN, "left")
+        return self._note(rows)
+
+    def end(self, status: str, reason: str) -> None:
+        """Ends the participation, once."""
+        if self.status == ACTIVE:
+            self.status, self.reason = status, reason
+
+    def _require(self, kind: str) -> Stage:
+        stage = self.stage
+        if stage.kind != kind:
+            raise NotNow("This has been done already, or comes later. Reload the page.")
+        return stage
+
+    def _note(self, rows: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        self.rows |= rows
+        if self.status == ACTIVE and self.stage.kind == "end":
+            self.status = COMPLETE
+        return rows

@@ -1,0 +1,549 @@
+"""The server of a study: the pages before, between and after the episodes, and which episode each participant plays."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import sqlite3
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from aiohttp import web
+from msgspec import Meta
+
+from h3data_play.connections import Failed, Live
+from h3data_play.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, Front
+from h3data_play.plan import GameOrder
+from h3data_play.seats import Game, Seat, new_token, uptime
+from h3data_studies.design import StudyPlan
+from h3data_studies.exclusions import FOCUS
+from h3data_studies.flow import DROPPED, WITHDRAWN, NotNow
+from h3data_studies.orders import game_key, order_of, row_of
+from h3data_studies.pseudonyms import completion_code, read_key, recruit_ids, refused_id, rejoin_code
+from h3data_studies.store import Participant, StudyStore
+from h3data_studies.views import consent_view, end_view, stage_view
+
+CHECK_S, HURRIED_S = 60.0, 10.0
+"""A place is given back where the check of the computer, which takes seconds, does not come within this time; the shorter one
+holds while somebody else wants the place."""
+MOST_UNCHECKED = 3
+"""Participants of one network address who have agreed but whose computers have not been checked yet."""
+JOINS_S = 600.0
+"""An address may send as many new participants in this time as may take part from it at once."""
+TOKEN_LENGTH = len(new_token())
+WATCH_S = 5.0
+"""Who has dropped out is looked for this often."""
+MOST_PAUSES = 200
+MOST_FOCUS = 1000
+Short = Annotated[str, Meta(max_length=80)]
+Measure = Annotated[float, Meta(ge=0, le=1e6)]
+
+
+class Hello(msgspec.Struct, frozen=True):
+    """Body of ``api/study``."""
+
+    ids: dict[Short, Annotated[str, Meta(max_length=200)]] = {}
+    language: Short = ""
+    rejoin: Annotated[str, Meta(max_length=80)] = ""
+    """Code of a link by which a participant goes on in another browser."""
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """Body of ``api/study/consent``."""
+
+    accept: bool
+    hash: Short = ""
+    ids: dict[Short, Annotated[str, Meta(max_length=200)]] = {}
+    language: Short = ""
+
+
+class DeviceReport(msgspec.Struct, frozen=True):
+    """Body of ``api/study/device``: what kind of computer it is, not which one."""
+
+    webgl: bool
+    ping_ms: Measure
+    fps: Measure
+    width: Measure
+    height: Measure
+    touch: bool = False
+    headset: bool = False
+    browser: Short = ""
+    system: Short = ""
+    gpu: Short = ""
+    final: bool = False
+    """Whether a window that is too small cannot be enlarged."""
+
+
+class Filled(msgspec.Struct, frozen=True):
+    """Body of ``api/study/form``."""
+
+    form: Short
+    answers: dict[Short, Any]
+    block: int | None = None
+    """As the view named it."""
+    trial: int | None = None
+
+
+class Pause(msgspec.Struct, frozen=True):
+    """Body of ``api/study/pause``."""
+
+    paused: bool
+    block: int | None = None
+    trial: int | None = None
+
+
+class Focus(msgspec.Struct, frozen=True):
+    """Body of ``api/study/focus``: the participant has turned to another window, or is back."""
+
+    away: bool
+    why: Literal["hidden", "blur"] = "blur"
+    """Whether the page was not to be seen, or only another window had the keys."""
+    ms: Annotated[float, Meta(ge=0, le=1e9)] = 0.0
+    """How long they were away, once they are back."""
+
+
+class Episode(msgspec.Struct, frozen=True):
+    """Body of ``api/session``: the episode that the page is about."""
+
+    block: int | None = None
+    trial: int | None = None
+
+
+class StudyFront(Front):
+    """All participants of one study."""
+
+    journal: StudyStore
+    seat_s = 30 * 86400
+
+    def __init__(
+        self, study: StudyPlan, *, workers: int = 1, open_door: bool = True, secure: bool = False,
+        report: Callable[[dict[str, Any]], None] = lambda _: None, seats_per_address: int = SEATS_PER_ADDRESS,
+        behind_proxy: bool = False, hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            study: What is played, by whom.
+            workers: Processes beside the spare one.
+            open_door: Whether ``/`` is the study's page, else its link has a secret.
+            secure: Whether browsers come through TLS.
+            report: Called with what the command line tells its user.
+            seats_per_address: Participants at once of one network address.
+            behind_proxy: As of `Front`.
+            hosts: As of `Front`.
+            clock: As of `Front`.
+        """
+        self.study, self.design = study, study.design
+        super().__init__(
+            study.plans[0], workers=workers, open_door=open_door, secure=secure, report=report, plans=study.plans,
+            journal=StudyStore(study.design, study.places, Path(study.out), clock=clock),
+            seats_per_address=seats_per_address, behind_proxy=behind_proxy, hosts=hosts, clock=clock,
+        )  # fmt: skip
+        self.finishes = False
+        self._key = read_key(Path(study.key_file))
+        self._page = ""
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._unchecked: dict[int, str] = {}
+        """Address of participants whose computers have not been checked, by number."""
+        for participant in self.journal.participants.values():
+            if participant.is_active and not participant.progress.rows:
+                self._unchecked[participant.number] = ""
+        self._joins: dict[str, tuple[float, float]] = {}
+        """How many may still join from an address, and when that was so."""
+
+    # --- the application ----------------------------------------------------------------------------------------------
+    def application(self) -> web.Application:
+        app = super().application()
+        for prefix in ("", "/s/{key}"):
+            app.router.add_post(prefix + "/api/study", self.hello)
+            app.router.add_get(prefix + "/api/study/ping", self.ping)
+            for name, act in (
+                ("consent", self.consent),
+                ("device", self.device),
+                ("form", self.form),
+                ("pause", self.pause),
+                ("focus", self.focus),
+                ("withdraw", self.withdraw),
+            ):
+                app.router.add_post(f"{prefix}/api/study/{name}", act)
+        app.on_startup.append(self._start)
+        app.on_shutdown.insert(0, self._stop)
+        return app
+
+    async def _start(self, app: web.Application) -> None:
+        del app
+        self._spawn(self._watch())
+
+    async def _stop(self, app: web.Application) -> None:
+        del app
+        for task in list(self._tasks):
+            task.cancel()
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def page(self, request: web.Request) -> web.StreamResponse:
+        """The page, told that this is a study."""
+        self._seat_number(request)
+        if not self._page:
+            try:
+                html = (PAGE / "index.html").read_text("utf-8")
+            except OSError:
+                raise web.HTTPNotFound(text="The page has not been built. Hint: make web") from None
+            self._page = html.replace("<body ", "<body data-study ", 1)
+        return web.Response(text=self._page, content_type="text/html", headers={"Cache-Control": "no-cache"})
+
+    # --- pages --------------------------------------------------------------------------------------------------------
+    async def hello(self, request: web.Request) -> web.Response:
+        """Where the participant is; before consent, what they are asked to agree to."""
+        body, token = await self._read(request, Hello), ""
+        participant = self._participant(request, body.ids)
+        if body.rejoin and (participant is None or not participant.is_active):
+            participant, token = self._rejoining(body.rejoin), new_token()
+            await self._reseat(request, participant, token)
+        if participant is not None and self._is_other(participant, body.ids):
+            return self._answer(request, end_view(self.design, participant.language, "occupied"))
+        if participant is None:
+            # the token is the browser's seat once somebody agrees there, in whichever of its tabs
+            if self._participant(request) is not None or not self._token(request):
+                token = new_token()
+            return self._answer(request, self._welcome(body.ids, self._language(body.language)), token)
+        self.journal.saw(participant)
+        return self._answer(request, self._view(participant), token)
+
+    def _rejoining(self, code: str) -> Participant:
+        for participant in self.journal.participants.values():
+            seat = self.journal.seat_of(participant)
+            if participant.is_active and seat is not None:
+                expected = rejoin_code(participant.id, seat.token, self._key)
+                if hmac.compare_digest(code.encode(), expected.encode()):
+                    return participant
+        raise web.HTTPForbidden(
+            text="This link has been used, or its session is over. Go on in the browser that has used it, or ask for another."
+        )
+
+    async def ping(self, request: web.Request) -> web.Response:
+        """Nothing, at once."""
+        del request
+        return web.Response(status=204, headers={"Cache-Control": "no-store"})
+
+    async def consent(self, request: web.Request) -> web.Response:
+        """A new participant; of those who decline only their number is kept."""
+        body = await self._read(request, Answer)
+        participant, token = self._participant(request, body.ids), self._token(request)
+        language = self._language(body.language)
+        if participant is None:
+            view = self._welcome(body.ids, language)
+            if view["stage"]["kind"] != "consent":
+                return self._answer(request, view)
+            if not body.accept:
+                self.journal.count("declined")
+                answer = self._answer(request, end_view(self.design, language, "declined"))
+                if self._participant(request) is None:
+                    answer.del_cookie(self._cookie(0), path="/")
+                return answer
+            if not token or self._participant(request) is not None:
+                raise web.HTTPConflict(
+                    text="This browser has sent no cookie, by which the study knows it. Allow cookies and reload the page."
+                )
+            if body.hash != view["stage"]["hash"]:
+                raise web.HTTPConflict(text="The text has been changed. Reload the page and read it again.")
+            self._require_room_at(request)
+            self._require_patience(self._address(request))
+            place = self.journal.free_place()
+            assert place is not None, "the view would have been another one"
+            ids = recruit_ids(body.ids, self._key)
+            pseudonym = ids.get("PROLIFIC_PID") or recruit_ids({"PROLIFIC_PID": token}, self._key)["PROLIFIC_PID"]
+            agreed = {"version": self.design.consent.version, "sha256": body.hash}
+            participant = self.journal.join(pseudonym, place, language=language, consent=agreed, ids=ids)
+            self._unchecked[participant.number] = self._address(request)
+            self._note_address(request, self.journal.move(participant, token))
+            self.report({"joined": {"participant": pseudonym, "place": place}})
+        return self._answer(request, self._view(participant), token)
+
+    def _require_patience(self, address: str) -> None:
+        """Counts a new participant of an address; refuses them where there were many."""
+        if list(self._unchecked.values()).count(address) >= MOST_UNCHECKED:
+            raise web.HTTPServiceUnavailable(
+                text="Others are just beginning at your network address. Try again in some seconds."
+            )
+        now, most = self.clock(), float(self.seats_per_address)
+        self._joins = {
+            where: (left, at) for where, (left, at) in self._joins.items() if left + (now - at) * most / JOINS_S < most
+        }
+        left, at = self._joins.get(address, (most, now))
+        left = min(most, left + (now - at) * most / JOINS_S)
+        if left < 1:
+            raise web.HTTPServiceUnavailable(
+                text="Many people have begun at your network address lately. Try again in some minutes."
+            )
+        self._joins[address] = left - 1, now
+
+    async def device(self, request: web.Request) -> web.Response:
+        """What the page has found out about the computer and its connection."""
+        body = await self._read(request, DeviceReport)
+
+        def note(participant: Participant) -> dict[str, dict[str, Any]]:
+            return participant.progress.device(msgspec.to_builtins(body))
+
+        answer = self._act(request, note)
+        self._unchecked.pop(self._required(request).number, None)
+        return answer
+
+    async def form(self, request: web.Request) -> web.Response:
+        """A form that has been filled in."""
+        body = await self._read(request, Filled)
+
+        def answer(participant: Participant) -> dict[str, dict[str, Any]]:
+            progress = participant.progress
+            if body.block is None and sum(stage.form == body.form for stage in progress.stages) > 1:
+                raise NotNow("This form is asked more than once, and the answers do not say where. Reload the page.")
+            if body.trial is None and progress.stage.trial:
+                raise NotNow(
+                    "This form is asked after each episode, and the answers do not say which. Reload the page."
+                )
+            return progress.answer(body.form, body.answers, body.block, body.trial)
+
+        return self._act(request, answer)
+
+    async def pause(self, request: web.Request) -> web.Response:
+        """Notes a pause, or its end. The world stands still by itself while nobody is connected to it."""
+        body = await self._read(request, Pause)
+
+        def note(participant: Participant) -> dict[str, dict[str, Any]]:
+            participant.progress.require_here(body.block, body.trial)
+            count = sum(key.startswith("pause/") for key in participant.progress.rows)
+            rows = {f"pause/{count + 1}": {"paused": body.paused}} if count < MOST_PAUSES else {}
+            participant.progress.rows |= rows
+            return rows
+
+        return self._act(request, note)
+
+    async def focus(self, request: web.Request) -> web.Response:
+        """Notes that the participant has turned to another window, or is back; being away is no activity."""
+        body, participant = await self._read(request, Focus), self._required(request)
+        progress = participant.progress
+        count = sum(key.startswith(f"{FOCUS}/") for key in progress.rows)
+        if participant.is_active and count < MOST_FOCUS:
+            left = progress.rows.get(f"{FOCUS}/{count}", {})
+            # who comes back after the end of an episode has been away from that one
+            stage = left["stage"] if left.get("away") and not body.away else progress.stage.key
+            row = {"away": body.away, "why": body.why, "seconds": round(body.ms / 1e3, 3), "stage": stage}
+            progress.rows[f"{FOCUS}/{count + 1}"] = row
+            self.journal.save(participant, {f"{FOCUS}/{count + 1}": row})
+        return web.Response(status=204)
+
+    async def withdraw(self, request: web.Request) -> web.Response:
+        """The participant stops taking part."""
+        await self._read(request, Hello)
+
+        def stop(participant: Participant) -> dict[str, dict[str, Any]]:
+            participant.progress.end(WITHDRAWN, "asked")
+            return {}
+
+        return self._act(request, stop)
+
+    def _act(self, request: web.Request, act: Callable[[Participant], dict[str, dict[str, Any]]]) -> web.Response:
+        participant = self._required(request)
+        self.journal.saw(participant)
+        try:
+            rows = act(participant)
+        except NotNow as fault:
+            raise web.HTTPConflict(text=str(fault)) from None
+        self._save(participant, rows)
+        return self._answer(request, self._view(participant))
+
+    def _save(self, participant: Participant, rows: dict[str, dict[str, Any]]) -> None:
+        was_open = participant.ended is None
+        self.journal.save(participant, rows)
+        if was_open and not participant.is_active:
+            progress = participant.progress
+            ended = {"participant": participant.id, "status": progress.status, "reason": progress.reason}
+            self.report({"ended": ended})
+            game = self.journal.open_game(participant.number)
+            if game is not None:
+                self._spawn(self._leave(game))
+
+    async def _leave(self, game: Game) -> None:
+        """Ends the episode of somebody who will not come back; its recording is finished."""
+        with contextlib.suppress(Failed, TimeoutError, web.HTTPException):
+            live = self._live(game)
+            begun = await asyncio.wait_for(asyncio.shield(live.begun), 60.0)
+            live.worker.send("input", game.key, [begun["agents"][0], '{"k":"leave"}', time.monotonic() * 1e3])
+
+    # --- what requests have in common ---------------------------------------------------------------------------------
+    def _answer(self, request: web.Request, view: dict[str, Any], token: str = "") -> web.Response:
+        del request
+        answer = web.json_response(view, headers={"Cache-Control": "no-store"})
+        if token:
+            answer.set_cookie(
+                self._cookie(0),
+                token,
+                httponly=True,
+                samesite="Strict",
+                secure=self.secure,
+                max_age=self.seat_s,
+                path="/",
+            )
+        return answer
+
+    def _token(self, request: web.Request) -> str:
+        """What the browser's cookie holds, if it can be one that this server gave; else nothing."""
+        token = request.cookies.get(self._cookie(0), "")
+        return token if len(token) == TOKEN_LENGTH else ""
+
+    def _participant(self, request: web.Request, ids: dict[str, str] | None = None) -> Participant | None:
+        """Who has the browser's seat; nobody, if that is somebody who has finished and the link's ids are another's."""
+        token = self._token(request)
+        seat = self.journal.owner(token, 0) if token else None
+        participant = None if seat is None else self.journal.participants.get(seat.place)
+        if participant is not None and not participant.is_active and self._is_other(participant, ids or {}):
+            return None
+        return participant
+
+    def _is_other(self, participant: Participant, ids: dict[str, str]) -> bool:
+        """Whether a link's ids are those of somebody else than ``participant``."""
+        given = recruit_ids(ids, self._key).get("PROLIFIC_PID")
+        return given is not None and given != participant.ids.get("PROLIFIC_PID", given)
+
+    def _required(self, request: web.Request) -> Participant:
+        participant = self._participant(request)
+        if participant is None:
+            raise web.HTTPConflict(text="This browser does not take part in the study yet. Reload the page.")
+        return participant
+
+    def _language(self, wanted: str) -> str:
+        return wanted if wanted in self.design.languages else self.design.languages[0]
+
+    def _welcome(self, ids: dict[str, str], language: str) -> dict[str, Any]:
+        given = recruit_ids(ids, self._key)
+        if self.design.recruiting.require_id and "PROLIFIC_PID" not in given:
+            return end_view(self.design, language, "need_id")
+        name, why = refused_id(ids, self.design.recruiting.id_pattern)
+        if why:
+            return end_view(self.design, language, why, name)
+        known = self.journal.by_id(given.get("PROLIFIC_PID", ""))
+        if self.journal.free_place() is None or (known is not None and known.number in self._unchecked):
+            self.release_unchecked(HURRIED_S)
+        if self.journal.by_id(given.get("PROLIFIC_PID", "")) is not None:
+            return end_view(self.design, language, "elsewhere")  # an id is known to others: it opens nothing
+        if self.journal.free_place() is None:
+            return end_view(self.design, language, "full")
+        return consent_view(self.design, language)
+
+    def _view(self, participant: Participant) -> dict[str, Any]:
+        stage = participant.progress.stage
+        if stage.kind in ("tutorial", "episode"):  # while they read what comes next
+            self.preparer.ask(order_of(self.study, participant, game_key(participant, stage)))
+        return stage_view(self.design, participant, own_code=completion_code(participant.id, self._key))
+
+    async def _reseat(self, request: web.Request, participant: Participant, token: str) -> None:
+        """Gives the seat to another browser; the one before is told so."""
+        before = self.journal.seat_of(participant)
+        self._note_address(request, self.journal.move(participant, token))
+        if before is not None:
+            self._left.add(before.sid)
+        for live in list(self.lives.values()):
+            connection = live.sockets.get(before.sid) if before is not None else None
+            if connection is not None:
+                with contextlib.suppress(Exception):
+                    async with asyncio.timeout(1.0):
+                        await connection.socket.close(code=ELSEWHERE)
+
+    # --- episodes -----------------------------------------------------------------------------------------------------
+    async def sit(self, request: web.Request) -> web.Response:
+        """As of `Front`, if the page is about the episode that is next."""
+        body = await self._read(request, Episode)
+        participant = self._participant(request)
+        if participant is not None and participant.is_active:
+            try:
+                participant.progress.require_here(body.block, body.trial)
+            except NotNow as fault:
+                raise web.HTTPConflict(text=str(fault)) from None
+        return await super().sit(request)
+
+    def _new_seat(self, token: str, number: int, *, has_key: bool) -> Seat:
+        raise web.HTTPConflict(text="This browser does not take part in the study yet. Reload the page.")
+
+    def _is_taken(self, sid: str) -> bool:
+        seat = self.journal.seats.get(sid)
+        participant = None if seat is None else self.journal.participants.get(seat.place)
+        return participant is not None and participant.is_active
+
+    def _game_for(self, seat: Seat) -> Live:
+        participant = self.journal.participants[seat.place]
+        self.journal.saw(participant)
+        game = self.journal.open_game(participant.number)
+        if not participant.is_active:
+            raise web.HTTPGone(text="The session has ended. Reload the page.")
+        if game is None:
+            stage = participant.progress.stage
+            if stage.kind not in ("tutorial", "episode"):
+                raise web.HTTPConflict(text="There is something else to do first. Reload the page.")
+            self._require_capacity()
+            game = self.journal.begin_episode(participant, game_key(participant, stage))
+        if seat.game != game.key:
+            self.journal.assign(seat, game)
+        return self._live(game)
+
+    def _order(self, game: Game) -> GameOrder:
+        return order_of(self.study, self.journal.participants[game.place], game.key)
+
+    def _is_last(self) -> bool:
+        return False
+
+    def _over(self, live: Live, over: dict[str, Any]) -> None:
+        game, participant = live.game, self.journal.participants.get(live.game.place)
+        if not game.over and participant is not None:
+            result = {name: over.get(name) for name in ("ended", "steps", "slipped", "step_ms")}
+            self._save(participant, participant.progress.over(row_of(game.key), result))
+            self.journal.saw(participant)
+        super()._over(live, over)
+
+    # --- drop-outs ----------------------------------------------------------------------------------------------------
+    async def _watch(self) -> None:
+        while True:
+            await asyncio.sleep(WATCH_S)
+            try:
+                self.look_for_drop_outs()
+                self.release_unchecked(CHECK_S)
+            except sqlite3.OperationalError as fault:
+                self._say_full(fault)
+
+    def release_unchecked(self, seconds: float) -> None:
+        """Forgets those whose computers have not been checked within so many seconds: their places and ids are free again."""
+        self.journal.count_time()
+        for number in list(self._unchecked):
+            participant = self.journal.participants.get(number)
+            if participant is not None and participant.is_active and participant.used < seconds:
+                continue
+            del self._unchecked[number]
+            if participant is not None and participant.is_active:
+                self.journal.remove(participant)
+                self.report({"released": {"participant": participant.id}})
+
+    def look_for_drop_outs(self) -> None:
+        """Counts everybody's time, and ends the sessions of those who have done nothing for too long."""
+        self.journal.count_time()
+        now = self.clock()
+        for live in self.lives.values():
+            participant = self.journal.participants.get(live.game.place)
+            if participant is not None:
+                participant.idle = min([participant.idle, *(now - c.heard for c in live.sockets.values())])
+        self.journal.keep_time()
+        rules = self.design.dropout
+        for participant in list(self.journal.participants.values()):
+            if not participant.is_active:
+                continue
+            if participant.idle > rules.idle_minutes * 60:
+                participant.progress.end(DROPPED, "idle")
+            elif participant.used > rules.total_minutes * 60:
+                participant.progress.end(DROPPED, "too_long")
+            else:
+                continue
+            self._save(participant, {})

@@ -1,0 +1,119 @@
+"""How a study is going: participants, conditions, late steps."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from datetime import date, datetime
+from typing import Any
+
+from h3data_studies.design import Design
+from h3data_studies.flow import ACTIVE, STATUSES
+from h3data_studies.store import Participant, StudyStore
+
+BOT = "bot"
+"""Browser class of scripted participants."""
+
+
+@dataclass(frozen=True)
+class PlayedEpisode:
+    """An episode that is over."""
+
+    participant: str
+    condition: str
+    block: int
+    trial: int
+    row: str
+    """Key of its row (`Participant.progress`)."""
+    ended: str
+    steps: int
+    slipped: int
+
+    @property
+    def late(self) -> float:
+        """Share of its steps that the machine was too slow to play in time."""
+        return self.slipped / max(self.steps + self.slipped, 1)
+
+
+def is_bot(participant: Participant) -> bool:
+    """Whether a participant is a script, and says so."""
+    return participant.progress.rows.get("device", {}).get("browser") == BOT
+
+
+def played(participant: Participant) -> list[PlayedEpisode]:
+    """A participant's episodes, practice left out, in order."""
+    episodes = []
+    for row, result in participant.progress.rows.items():
+        kind, *numbers = row.split("/")
+        if kind == "episode":
+            block, trial = map(int, numbers)
+            condition = participant.progress.place.blocks[block - 1].condition
+            steps, slipped = int(result.get("steps") or 0), int(result.get("slipped") or 0)
+            episodes.append(
+                PlayedEpisode(participant.id, condition, block, trial, row, str(result["ended"]), steps, slipped)
+            )
+    return episodes
+
+
+def usable(design: Design, episode: PlayedEpisode) -> str:
+    """Why an episode is left out of the report; empty: it is not."""
+    if episode.ended == "failed":
+        return "the simulator failed"
+    if episode.ended == "closed":
+        return "left before the end"
+    if episode.late > design.dropout.max_slip:
+        return f"more than {design.dropout.max_slip:.0%} of the steps came late"
+    return ""
+
+
+def overview(design: Design, store: StudyStore) -> dict[str, Any]:
+    """Everything that ``study status`` prints, as JSON types."""
+    people = sorted(store.participants.values(), key=lambda p: p.number)
+    episodes = [episode for person in people for episode in played(person)]
+    return {
+        "study": design.name,
+        "version": design.version,
+        "retention": design.retention.isoformat(),
+        "overdue": date.today() > design.retention and bool(people),
+        "places": design.participants,
+        "statuses": {status: sum(p.progress.status == status for p in people) for status in STATUSES},
+        "bots": sum(map(is_bot, people)),
+        "declined": store.counted("declined"),
+        "participants": [_person(design, person) for person in people],
+        "conditions": [
+            _condition(design, c.name, [e for e in episodes if e.condition == c.name]) for c in design.conditions
+        ],
+    }
+
+
+def _person(design: Design, person: Participant) -> dict[str, Any]:
+    progress, episodes = person.progress, played(person)
+    late = sum(e.slipped for e in episodes) / max(sum(e.steps + e.slipped for e in episodes), 1)
+    counts = Counter(e.condition for e in episodes)
+    return {
+        "participant": person.id,
+        "bot": is_bot(person),
+        "place": person.place + 1,
+        "status": progress.status,
+        "reason": progress.reason,
+        "stage": progress.stage.key if progress.status == ACTIVE else "",
+        "done": progress.done,
+        "of": len(progress.stages),
+        "practice": progress.attempts,
+        "episodes": {c.name: counts[c.name] for c in design.conditions},
+        "late": late,
+        "minutes": person.used / 60,
+        "idle_minutes": person.idle / 60 if progress.status == ACTIVE else None,
+        "joined": datetime.fromtimestamp(person.joined).isoformat(timespec="minutes"),
+    }
+
+
+def _condition(design: Design, name: str, episodes: list[PlayedEpisode]) -> dict[str, Any]:
+    return {
+        "condition": name,
+        "episodes": len(episodes),
+        "planned": design.participants * design.episodes,
+        "success": sum(e.ended == "success" for e in episodes),
+        "left_out": sum(bool(usable(design, e)) for e in episodes),
+        "late": sum(e.slipped for e in episodes) / max(sum(e.steps + e.slipped for e in episodes), 1),
+    }

@@ -1,0 +1,23 @@
+"""The server of a study as a process, as `h3data_play.serve`. ``h3data study run`` starts it."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from h3data_play.serve import ServeOptions, main
+from h3data_studies.design import StudyPlan
+from h3data_studies.front import StudyFront
+
+
+class StudyServeOptions(ServeOptions, frozen=True, kw_only=True):
+    """Options of the server of a study."""
+
+    study: StudyPlan
+
+    def front(self, **given: Any) -> StudyFront:
+        return StudyFront(self.study, **given)
+
+
+if __name__ == "__main__":
+    sys.exit(main(StudyServeOptions))

@@ -1,0 +1,329 @@
+"""Participants on the disk: who has consented, what they have done, where they sit. One SQLite file per study, of which every
+commit is on the disk before a browser hears of it."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from h3data_play.seats import Game, Journal, Seat, uptime
+from h3data_studies.design import Design, Place
+from h3data_studies.flow import ACTIVE, COMPLETE, Progress
+
+DATABASE = "study.sqlite"
+_TABLES = """
+create table if not exists participants (
+    number integer primary key, id text not null unique, place integer not null, status text not null, reason text not null,
+    joined real not null, used real not null, idle real not null, ended real, language text not null, consent text not null,
+    ids text not null
+);
+create table if not exists rows (
+    participant integer not null, stage text not null, at real not null, data text not null, primary key (participant, stage)
+);
+create table if not exists counts (name text primary key, value integer not null);
+"""
+GAP_S = 15.0
+"""Time is counted every few seconds. Where nobody has for longer, the server was suspended or stopped: nobody's time."""
+
+
+@dataclass(eq=False)
+class Participant:
+    """Somebody who has consented."""
+
+    number: int
+    id: str
+    """Pseudonym."""
+    place: int
+    """Number of `StudyPlan.places`."""
+    joined: float
+    """Unix time [s], as a date for people; no duration is measured by it."""
+    used: float
+    """Time since they agreed during which the study was served [s]."""
+    idle: float
+    """As ``used``, since they last did something."""
+    language: str
+    consent: dict[str, str]
+    """Version and SHA-256 of the text that they agreed to."""
+    ids: dict[str, str]
+    """Pseudonyms of the recruiting platform's ids."""
+    progress: Progress
+    ended: float | None = None
+    """Unix time, as ``joined``."""
+    times: dict[str, float] = field(default_factory=dict)
+    """When each row was written."""
+
+    @property
+    def is_active(self) -> bool:
+        return self.progress.status == ACTIVE
+
+
+class StudyStore(Journal):
+    """The journal of seats and games of a study, and its participants."""
+
+    def __init__(
+        self, design: Design, places: Sequence[Place], folder: Path, *, read_only: bool = False,
+        clock: Callable[[], float] = uptime,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            design: The study file.
+            places: What each participant plays.
+            folder: Of the study.
+            read_only: Works on a copy in memory: the file may be another process's.
+            clock: Seconds since some moment, by which participants' time is counted.
+        """
+        self.design, self.places = design, places
+        self.participants: dict[int, Participant] = {}
+        self._clock, self._counted = clock, clock()
+        super().__init__(folder, name=DATABASE, read_only=read_only)
+        self._db.execute("pragma secure_delete = on")
+        self._db.executescript(_TABLES)
+        self._migrate()
+        self._load()
+
+    def _migrate(self) -> None:
+        """Brings a database of an earlier version up to date."""
+        with self._transaction():
+            if "seen" in {name for _, name, *_ in self._db.execute("pragma table_info(participants)")}:
+                self._count_from_stamps()
+
+    def _count_from_stamps(self) -> None:
+        """Before 0.3 there was the date of a participant's last act in place of seconds. What they had used is the time between
+        their rows; a gap in which they would have dropped out had the study been served was the server's, as is a step of the
+        clock."""
+        times: dict[int, list[float]] = {}
+        for number, at in self._db.execute("select participant, at from rows"):
+            times.setdefault(number, []).append(at)
+        used, longest = {}, self.design.dropout.idle_minutes * 60
+        for number, joined, seen, ended in self._db.execute("select number, joined, seen, ended from participants"):
+            stamps = sorted([joined, *times.get(number, ()), seen if ended is None else ended])
+            used[number] = sum(b - a for a, b in pairwise(stamps) if b - a <= longest)
+        self._db.execute("alter table participants rename to stamped")
+        self._db.execute(_TABLES.partition(";")[0])
+        self._db.execute(
+            "insert into participants select number, id, place, status, reason, joined, 0, 0, ended, language, consent, ids "
+            "from stamped"
+        )
+        self._db.execute("drop table stamped")
+        self._db.executemany("update participants set used = ? where number = ?", [(s, n) for n, s in used.items()])
+
+    def _load(self) -> None:
+        rows: dict[int, dict[str, Any]] = {}
+        times: dict[int, dict[str, float]] = {}
+        for number, stage, at, data in self._db.execute("select participant, stage, at, data from rows order by at"):
+            rows.setdefault(number, {})[stage] = msgspec.json.decode(data)
+            times.setdefault(number, {})[stage] = at
+        for (
+            number,
+            pseudonym,
+            place,
+            status,
+            reason,
+            joined,
+            used,
+            idle,
+            ended,
+            language,
+            consent,
+            ids,
+        ) in self._db.execute(
+            "select number, id, place, status, reason, joined, used, idle, ended, language, consent, ids from participants"
+        ):
+            progress = Progress(self.design, self.places[place], rows.get(number, {}), status, reason)
+            self.participants[number] = Participant(
+                number=number, id=pseudonym, place=place, joined=joined, used=used, idle=idle, ended=ended, language=language,
+                consent=msgspec.json.decode(consent), ids=msgspec.json.decode(ids), progress=progress,
+                times=times.get(number, {}),
+            )  # fmt: skip
+        for game in self.games.values():  # killed between the end of an episode and its row
+            participant = self.participants.get(game.place)
+            if game.over and participant is not None:
+                self.save(participant, participant.progress.over(game.key.partition("/")[2], {"ended": game.over}))
+
+    # --- participants -------------------------------------------------------------------------------------------------
+    def by_id(self, pseudonym: str) -> Participant | None:
+        """The participant with a pseudonym."""
+        return next((p for p in self.participants.values() if p.id == pseudonym), None)
+
+    def free_place(self) -> int | None:
+        """The first place that nobody has or has filled: that of somebody who has dropped out is free again."""
+        taken = {p.place for p in self.participants.values() if p.progress.status in (ACTIVE, COMPLETE)}
+        return next((k for k in range(len(self.places)) if k not in taken), None)
+
+    def join(
+        self, pseudonym: str, place: int, *, language: str, consent: dict[str, str], ids: dict[str, str]
+    ) -> Participant:
+        """A new participant, who has consented."""
+        self.count_time()
+        now = time.time()
+        number = 1 + self._last_number()
+        participant = Participant(
+            number=number, id=pseudonym, place=place, joined=now, used=0.0, idle=0.0, language=language,
+            consent=consent, ids=ids, progress=Progress(self.design, self.places[place]),
+        )  # fmt: skip
+        with self._transaction():
+            self._db.execute(
+                "insert into participants values (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (number, pseudonym, place, ACTIVE, "", now, 0.0, 0.0, None, language, _json(consent), _json(ids)),
+            )
+            self.count("last number", number - self._last_number())
+        self.participants[number] = participant
+        return participant
+
+    def _last_number(self) -> int:
+        """Numbers of people who were forgotten are not given again."""
+        return self.counted("last number")
+
+    def count(self, name: str, by: int = 1) -> None:
+        """Counts something that happened to nobody in particular."""
+        self._db.execute(
+            "insert into counts values (?, ?) on conflict (name) do update set value = value + excluded.value",
+            (name, by),
+        )
+
+    def counted(self, name: str) -> int:
+        """How often something happened."""
+        row = self._db.execute("select value from counts where name = ?", (name,)).fetchone()
+        return 0 if row is None else int(row[0])
+
+    def saw(self, participant: Participant) -> None:
+        """Notes that a participant has done something."""
+        self.count_time()
+        if participant.is_active:
+            participant.idle = 0.0
+            self._db.execute(
+                "update participants set used = ?, idle = 0 where number = ?", (participant.used, participant.number)
+            )
+
+    def count_time(self) -> None:
+        """Adds the time since the last call to what everybody who is under way has used; to be called every few seconds.
+        `keep_time` puts it on the disk."""
+        now = self._clock()
+        passed, self._counted = now - self._counted, now
+        if 0 < passed <= GAP_S:
+            for participant in self.participants.values():
+                if participant.is_active:
+                    participant.used += passed
+                    participant.idle += passed
+
+    def keep_time(self) -> None:
+        """Writes what everybody who is under way has used."""
+        now = [(p.used, p.idle, p.number) for p in self.participants.values() if p.is_active]
+        with self._transaction():
+            self._db.executemany("update participants set used = ?, idle = ? where number = ?", now)
+
+    def save(self, participant: Participant, rows: dict[str, dict[str, Any]]) -> None:
+        """Writes new rows and the status, together."""
+        self.count_time()
+        try:
+            self._save(participant, rows)
+        except sqlite3.Error:  # what is not on the disk has not happened
+            self._restore(participant)
+            raise
+
+    def _restore(self, participant: Participant) -> None:
+        """Brings a participant back to what is on the disk."""
+        progress = participant.progress
+        progress.rows.clear()
+        participant.times.clear()
+        for stage, at, data in self._db.execute(
+            "select stage, at, data from rows where participant = ? order by at, rowid", (participant.number,)
+        ):
+            progress.rows[stage], participant.times[stage] = msgspec.json.decode(data), at
+        ((progress.status, progress.reason, participant.ended),) = self._db.execute(
+            "select status, reason, ended from participants where number = ?", (participant.number,)
+        )
+
+    def _save(self, participant: Participant, rows: dict[str, dict[str, Any]]) -> None:
+        now, progress = time.time(), participant.progress
+        if not participant.is_active and participant.ended is None:
+            participant.ended = now
+        with self._transaction():
+            for stage, data in rows.items():
+                participant.times[stage] = now
+                self._db.execute(
+                    "insert or replace into rows values (?, ?, ?, ?)", (participant.number, stage, now, _json(data))
+                )
+            self._db.execute(
+                "update participants set status = ?, reason = ?, ended = ?, used = ?, idle = ? where number = ?",
+                (
+                    progress.status,
+                    progress.reason,
+                    participant.ended,
+                    participant.used,
+                    participant.idle,
+                    participant.number,
+                ),
+            )
+
+    def _transaction(self) -> _Transaction:
+        return _Transaction(self._db)
+
+    def forget(self, participant: Participant) -> dict[str, int]:
+        """Deletes a participant; returns how many entries of each kind there were. What is deleted is overwritten."""
+        removed = self.remove(participant)
+        self._db.execute("vacuum")
+        return removed
+
+    def remove(self, participant: Participant) -> dict[str, int]:
+        """As `forget`, but leaves the file as long as it is, which does not stop those who play."""
+        number = participant.number
+        removed: dict[str, int] = {}
+        with self._transaction():
+            for what, statement in (
+                ("participants", "delete from participants where number = ?"),
+                ("rows", "delete from rows where participant = ?"),
+                ("seats", "delete from seats where place = ?"),
+                ("games", "delete from games where place = ?"),
+            ):
+                removed[what] = self._db.execute(statement, (number,)).rowcount
+        del self.participants[number]
+        self.seats = {sid: seat for sid, seat in self.seats.items() if seat.place != number}
+        self.games = {key: game for key, game in self.games.items() if game.place != number}
+        return removed
+
+    # --- seats --------------------------------------------------------------------------------------------------------
+    def seat_of(self, participant: Participant) -> Seat | None:
+        """Where a participant sits."""
+        return self.taken(participant.number, 0)
+
+    def move(self, participant: Participant, token: str) -> Seat:
+        """A seat for the browser that holds ``token``; the one that the participant had is gone."""
+        old = self.seat_of(participant)
+        return self.sit(token, participant.number, 0) if old is None else self.hand_over(old, token)
+
+    def begin_episode(self, participant: Participant, key: str) -> Game:
+        """The game of an episode."""
+        game = Game(key, participant.number, 0)
+        self._db.execute("insert into games values (?, ?, ?, ?)", (key, game.place, 0, ""))
+        self.games[key] = game
+        return game
+
+
+class _Transaction:
+    """All or nothing."""
+
+    def __init__(self, db: sqlite3.Connection) -> None:
+        self._db = db
+
+    def __enter__(self) -> None:
+        self._db.execute("begin immediate")
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        try:
+            if kind is None:
+                self._db.execute("commit")
+        finally:
+            if self._db.in_transaction:  # a full disk may have rolled it back already
+                self._db.execute("rollback")
+
+
+def _json(value: Any) -> str:
+    return msgspec.json.encode(value).decode()
