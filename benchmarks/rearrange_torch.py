@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import torch
 
-    from sim_kinematic.torch.rearrange.bank import RearrangeBank
+    from h3data_training.torch.rearrange.bank import RearrangeBank
 
 Emit = Callable[[str, float, str], None]
 HOMES, EPISODES = ["small:1", "small:2", "h3-homes/train#0", "h3-homes/train#1"], 64
@@ -28,7 +28,7 @@ def run(emit: Emit) -> None:
     """Emits ``rearrange_torch.*``; the lines of the GPU only where there is one."""
     import torch
 
-    from sim_kinematic.torch.rearrange.bank import RearrangeBank
+    from h3data_training.torch.rearrange.bank import RearrangeBank
 
     start = time.process_time()
     bank = RearrangeBank.draw(HOMES, EPISODES)
@@ -60,9 +60,9 @@ def _steps(bank: RearrangeBank, worlds: int, device: str, *, compile: bool) -> l
     """A step of the state and one of an environment, each with the choices that a table of random numbers makes."""
     import torch
 
-    from sim_kinematic.envs.rearrange_torch_env import RearrangeTorchEnv
-    from sim_kinematic.torch.graph import captured, fused, overwrite
-    from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
+    from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
+    from h3data_training.torch.graph import captured, fused, overwrite
+    from h3data_training.torch.rearrange.worlds import RearrangeTensors
 
     sim = RearrangeTensors(bank, device=device, dtype=torch.float32)
     first = torch.arange(worlds, device=device) % len(bank) - 1
@@ -98,7 +98,7 @@ def _steps(bank: RearrangeBank, worlds: int, device: str, *, compile: bool) -> l
 
 
 def _allowed(sim: Any, play: Any) -> torch.Tensor:
-    from sim_kinematic.torch.rearrange.observations import View
+    from h3data_training.torch.rearrange.observations import View
 
     return View.of(sim, play, "robot").allowed()
 
@@ -117,7 +117,7 @@ def _apart(bank: RearrangeBank) -> float:
     """Farthest that a place on the GPU is from that on the CPU after 300 steps of the same planners in float64 [m]."""
     import torch
 
-    from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
+    from h3data_training.torch.rearrange.worlds import RearrangeTensors
 
     places = []
     for device in ("cpu", "cuda"):

@@ -71,9 +71,9 @@ class Stepper:
     def __init__(self, floor: Any, worlds: int, device: str, dtype: torch.dtype, seed: int = 0) -> None:
         import torch
 
+        from h3data_training.torch.state import HumanTensors, RobotTensors
+        from h3data_training.torch.step import Grids
         from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
-        from sim_kinematic.torch.state import HumanTensors, RobotTensors
-        from sim_kinematic.torch.step import Grids
 
         rng = np.random.default_rng(seed)
 
@@ -96,7 +96,7 @@ class Stepper:
 
     def step(self) -> None:
         """All worlds, once. There are no branches: it costs the same wherever they are."""
-        from sim_kinematic.torch.step import drive_robots, walk_humans
+        from h3data_training.torch.step import drive_robots, walk_humans
 
         robot = drive_robots(self.grids, self.robot, self.action, self.spec.robot)
         human = walk_humans(self.human, self.goal, self.spec.human)
@@ -148,11 +148,11 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
     import torch
 
     from h3data.bodies import load_humanoid, load_robot
+    from h3data_training.torch.cameras import TensorCameras
+    from h3data_training.torch.episodes import EpisodeBank
+    from h3data_training.torch.graph import captured, fused, overwrite
+    from h3data_training.torch.social_nav import Play, SocialNavTensors
     from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
-    from sim_kinematic.torch.cameras import TensorCameras
-    from sim_kinematic.torch.episodes import EpisodeBank
-    from sim_kinematic.torch.graph import captured, fused, overwrite
-    from sim_kinematic.torch.social_nav import Play, SocialNavTensors
 
     rules = SocialNavSpec(end_on_collision=False, max_steps=3000, human=HOME_WALKER)
     bank = EpisodeBank.draw(HOME, 64, spec=rules)
@@ -210,7 +210,7 @@ def _parity(emit: Emit, worlds: int = 4096, steps: int = 1000) -> None:
 def _on_cuda(emit: Emit, worlds: int) -> None:
     import torch
 
-    from sim_kinematic.torch.graph import captured, fused
+    from h3data_training.torch.graph import captured, fused
 
     with torch.no_grad():
         stepper = Stepper(BoxFloor.draw(), worlds, "cuda", torch.float32)
@@ -247,7 +247,7 @@ def _environment(
     """One with arm depth where there is a size of pictures."""
     import torch
 
-    from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
+    from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
 
     shown: Any = {"depth_size": depth_size, "observations": ("arm_depth", "humanoid_gps")} if depth_size else {}
     env = SocialNavTorchEnv(worlds, HOME, device=device, episodes=64, compile=compile, **shown)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from h3data_training.ppo import Learner
     from h3data_training.settings import Settings
-    from sim_kinematic.torch.episodes import EpisodeBank
+    from h3data_training.torch.episodes import EpisodeBank
 
 Line = tuple[str, float, str]
 """Name, value and unit."""

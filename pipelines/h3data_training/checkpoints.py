@@ -11,7 +11,7 @@ import torch
 from h3data.errors import FormatError, InputError
 from h3data_training.ppo import Learner
 from h3data_training.running import Length, share_of
-from sim_kinematic.torch.graph import overwrite
+from h3data_training.torch.graph import overwrite
 
 FORMAT = "h3data.training/1"
 FREE = ("minutes", "updates")

@@ -13,10 +13,10 @@ from h3data.bodies import load_humanoid, load_robot
 from h3data.render import Output
 from h3data.render.light.sources import LightMode
 from h3data.scene import Scene
+from h3data_training.torch.state import HumanTensors, RobotTensors
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
-from sim_kinematic.torch.state import HumanTensors, RobotTensors
 
 
 def stacked(sensor: CameraSensor, worlds: Iterable[StateRenderer]) -> dict[str, Tensor]:
@@ -26,7 +26,7 @@ def stacked(sensor: CameraSensor, worlds: Iterable[StateRenderer]) -> dict[str, 
 
 
 class CpuCameras:
-    """Stands in for `sim_kinematic.torch.cameras.TensorCameras` without a GPU: the CPU renderer, world by world."""
+    """Stands in for `h3data_training.torch.cameras.TensorCameras` without a GPU: the CPU renderer, world by world."""
 
     def __init__(
         self, scenes: Sequence[Scene], robot: str, human: str, walker: WalkerSpec, *, floors: Sequence[float],
@@ -43,7 +43,7 @@ class CpuCameras:
         self._state, self._homes = WorldState.zeros(0), np.zeros(0, int)
 
     def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
-        """As `sim_kinematic.torch.cameras.TensorCameras.pose`."""
+        """As `h3data_training.torch.cameras.TensorCameras.pose`."""
         state = WorldState.zeros(len(robot.heading), joints=[len(self._bodies[0].rest)])
         robot.put(state.robots[0])
         human.put(state.people[0])
@@ -51,7 +51,7 @@ class CpuCameras:
         self._state, self._homes = state, np.zeros(state.worlds, int) if place is None else place.numpy().copy()
 
     def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
-        """As `sim_kinematic.torch.cameras.TensorCameras.picture`."""
+        """As `h3data_training.torch.cameras.TensorCameras.picture`."""
         sensor = CameraSensor(camera=view, outputs=tuple(outputs), size=self._size)
         light: LightMode = self._light if "rgb" in outputs else "flat"
         return stacked(sensor, (self._posed(w, home, light) for w, home in enumerate(self._homes.tolist())))

@@ -12,10 +12,10 @@ from h3data.errors import InputError
 from h3data.habitat.scene_names import listed_scenes
 from h3data.progress import progress
 from h3data_training.settings import Settings
+from h3data_training.torch.episodes import EpisodeBank
+from h3data_training.torch.step import refuse_stairs
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import WALKERS, SocialNavSpec
-from sim_kinematic.torch.episodes import EpisodeBank
-from sim_kinematic.torch.step import refuse_stairs
 
 MOST_WORKERS = 32
 Task = TypeVar("Task")

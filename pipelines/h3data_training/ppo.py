@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from h3data_training.networks import actor_numbers, critic_numbers, network
 from h3data_training.ranks import Ranks
 from h3data_training.settings import Settings
-from sim_kinematic.torch.graph import captured, keep_row, overwrite
+from h3data_training.torch.graph import captured, keep_row, overwrite
 
 RANK_SEED = 1_000_003
 """Between the seeds of two processes' exploration noise."""

@@ -27,12 +27,12 @@ from h3data_training.settings import Settings
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import SkillSettings
 from h3data_training.skills.worlds import HeldSkills
+from h3data_training.torch.episodes import EpisodeBank
+from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 from sim_kinematic.policies.pictured import PICTURES, PicturedNetwork, PolicyCard, save_pictured
-from sim_kinematic.torch.episodes import EpisodeBank
-from sim_kinematic.torch.skills.bank import SkillBank
 
 Bank = EpisodeBank | SkillBank
 CHECKPOINT, POLICY = "checkpoint.pt", RUN_POLICY

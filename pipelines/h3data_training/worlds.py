@@ -9,11 +9,11 @@ from torch import Tensor
 
 from h3data.errors import InputError
 from h3data_training.cpu_cameras import CpuCameras
+from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv, arm_cameras
 from h3data_training.episodes import rules
 from h3data_training.held import HeldSteps
 from h3data_training.settings import CRITIC, Settings
-from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv, arm_cameras
-from sim_kinematic.torch.episodes import EpisodeBank
+from h3data_training.torch.episodes import EpisodeBank
 
 COUNTS = ("reward", "follows", "collided", "ended", "steps", "contact", "met", "distance")
 """Sums over worlds and steps that `HeldWorlds.totals` keeps."""

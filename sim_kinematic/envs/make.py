@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Any
 
 from h3data.errors import InputError, suggest
+from h3data.plugins import Registry
 from sim_kinematic.envs.recipe import EnvRecipe
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task
+
+DEVICE_ENVS: Registry[Callable[..., Any]] = Registry("h3data.device_envs", {}, what="environment on a torch device")
+"""By name of the task, what makes W worlds of it on a torch device: ``(worlds, scenes, *, device, agents, **options)``."""
 
 
 def make(
@@ -125,17 +129,8 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
 def _on_device(
     task: Task, scenes: Scenes, num_envs: int | None, device: Any, agents: Sequence[str], options: dict[str, Any]
 ) -> Any:
-    worlds = 1 if num_envs is None else num_envs
-    if task.name == "rearrange":
-        from sim_kinematic.envs.rearrange_torch_env import RearrangeTorchEnv
-
-        return RearrangeTorchEnv(worlds, scenes, device=device, agents=agents, **options)
-    if task.name != "social_nav":
-        raise InputError(
-            f"Only social_nav and rearrange run on a torch device, not {task.name}. Hint: leave out device."
-        )
-    if tuple(agents) != ("robot",):
-        raise InputError("On a torch device only the robot acts in social_nav. Hint: leave out agents or device.")
-    from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
-
-    return SocialNavTorchEnv(worlds, scenes, device=device, **options)
+    known = DEVICE_ENVS.names()
+    if known and task.name not in known:
+        raise InputError(f"Only {' and '.join(known)} run on a torch device, not {task.name}. Hint: leave out device.")
+    make = DEVICE_ENVS.get(task.name)
+    return make(1 if num_envs is None else num_envs, scenes, device=device, agents=agents, **options)

@@ -228,10 +228,10 @@ def _leaves(value: Any) -> list[Any]:
 def test_make_names_every_option_of_every_environment() -> None:
     """`h3data.make` repeats the options of the environments, so that editors, type checkers and the reference know them."""
     from h3data.api import MakeOptions
+    from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
+    from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
     from sim_kinematic.envs import make as maker
-    from sim_kinematic.envs.rearrange_torch_env import RearrangeTorchEnv
     from sim_kinematic.envs.skill_stepper import SkillStepper
-    from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
     from sim_kinematic.envs.stepper import Options
     from sim_kinematic.envs.world_stepper import WorldStepper
     from sim_kinematic.tasks.registry import find_task

@@ -14,9 +14,9 @@ from tests.paths import EXAMPLES
 torch = pytest.importorskip("torch")
 
 from h3data.errors import InputError  # noqa: E402
+from h3data_training.torch.episodes import EpisodeBank  # noqa: E402
 from sim_kinematic.policies.network import load_network  # noqa: E402
 from sim_kinematic.policies.social_nav import policy_by_name  # noqa: E402
-from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 EXAMPLE = EXAMPLES / "train_social_nav.py"

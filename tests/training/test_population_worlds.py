@@ -27,6 +27,8 @@ from h3data_training.populations.run import CHECKPOINT, POLICY, train  # noqa: E
 from h3data_training.populations.settings import ROBOT, PopulationSettings  # noqa: E402
 from h3data_training.populations.tensor_choosers import arrays_of, encode, scored  # noqa: E402
 from h3data_training.populations.worlds import TensorPlayers  # noqa: E402
+from h3data_training.torch.rearrange.bank import RearrangeBank  # noqa: E402
+from h3data_training.torch.rearrange.bank_file import load_bank, save_bank  # noqa: E402
 from sim_kinematic.motion.spec import HOME_WALKER, OracleSpec  # noqa: E402
 from sim_kinematic.policies.assignment import AssignedPolicy  # noqa: E402
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS, ChooserNetwork, encoded  # noqa: E402
@@ -39,8 +41,6 @@ from sim_kinematic.tasks.rearrange.play import RearrangePlay  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
 from sim_kinematic.tasks.runner import run  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
-from sim_kinematic.torch.rearrange.bank import RearrangeBank  # noqa: E402
-from sim_kinematic.torch.rearrange.bank_file import load_bank, save_bank  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 DRAWN = PopulationSettings(scenes="h3-homes/val#1", episodes_per_home=4, walk="paper")

@@ -23,10 +23,10 @@ from h3data_training.launch import Stop, launch
 from h3data_training.ppo import Learner, Schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
 from h3data_training.run import CHECKPOINT, POLICY, train
+from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.pictured import PicturedNetwork
-from sim_kinematic.torch.episodes import EpisodeBank
 from tests.training.runs import small
 
 BLIND = small(observations=("humanoid_gps", "range_scan"), worlds=8)

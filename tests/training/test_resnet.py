@@ -22,8 +22,8 @@ from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.networks import resnet_lstm
 from sim_kinematic.policies.networks.resnet_lstm import ResNet18, ResNetLSTM, ResNetPolicy
 from sim_kinematic.policies.pictured import FILE_FORMAT
-from tests.sim.torch.capturable import CapturableOnly
 from tests.training.runs import small
+from tests.training.torch.capturable import CapturableOnly
 
 SETTINGS = small(network="resnet18_lstm", picture_size=(30, 22), channels=(16, 1, 1), features=8, hidden=6, updates=2)
 

@@ -23,12 +23,12 @@ from h3data_training.networks import ActorCritic
 from h3data_training.ppo import Learner, schedule
 from h3data_training.run import CHECKPOINT, POLICY, train
 from h3data_training.settings import RECIPES, recipe
+from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.pictured import PicturedNetwork
-from sim_kinematic.torch.episodes import EpisodeBank
-from tests.sim.torch.capturable import CapturableOnly
 from tests.training.runs import SMALL, small
+from tests.training.torch.capturable import CapturableOnly
 
 BLIND = ("humanoid_gps", "range_scan")
 

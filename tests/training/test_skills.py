@@ -22,6 +22,9 @@ from h3data_training.skills.cpu_cameras import CpuSkillCameras
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import OF_THE_ARM, SkillSettings, skill_recipe
 from h3data_training.skills.worlds import HeldSkills
+from h3data_training.torch.skills import driving
+from h3data_training.torch.skills.bank import COLUMNS, SkillBank
+from h3data_training.torch.skills.worlds import SkillTensors
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.learned import network_of
 from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
@@ -34,10 +37,7 @@ from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.sources import EpisodeSource
-from sim_kinematic.torch.skills import driving
-from sim_kinematic.torch.skills.bank import COLUMNS, SkillBank
-from sim_kinematic.torch.skills.worlds import SkillTensors
-from tests.sim.torch.capturable import CapturableOnly
+from tests.training.torch.capturable import CapturableOnly
 
 SMALL = replace(
     skill_recipe("tiny", "pick"), scenes="small:1", episodes_per_home=1, starts=4, worlds=4, rollout=3, minibatches=2,

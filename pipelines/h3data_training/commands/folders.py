@@ -41,7 +41,7 @@ def run_folder(
             f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
         )
     if force:
-        from sim_kinematic.envs.torch_env import checked_device
+        from h3data_training.envs.torch_env import checked_device
 
         checked_device(device)
         for path in (path for pattern in LEFT for path in folder.glob(pattern)):

@@ -16,11 +16,11 @@ from torch import Tensor, nn
 from h3data_training.populations.networks import Chooser
 from h3data_training.populations.playing import Decisions
 from h3data_training.populations.settings import ROBOT, PopulationSettings
+from h3data_training.torch.graph import captured, overwrite
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.policies.choosers.chooser_network import KIND, ChooserNetwork
 from sim_kinematic.policies.pictured import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.torch.graph import captured, overwrite
 
 LEARNED_FROM = ("each", "rest", "allowed", "chosen", "log_prob", "told", "advantage", "target")
 """Columns of a minibatch."""

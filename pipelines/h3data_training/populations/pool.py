@@ -30,7 +30,7 @@ from sim_kinematic.tasks.social_nav.episode import Starts
 from sim_kinematic.tasks.sources import Home
 
 if TYPE_CHECKING:
-    from sim_kinematic.torch.rearrange.bank import RearrangeBank
+    from h3data_training.torch.rearrange.bank import RearrangeBank
 
 T = TypeVar("T")
 HomeTask = tuple[PopulationSettings, str, int]
@@ -198,8 +198,8 @@ def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Re
         InputError: it was drawn by other settings.
         SceneError: a home has no room for an episode.
     """
-    from sim_kinematic.torch.rearrange.bank import RearrangeBank
-    from sim_kinematic.torch.rearrange.bank_file import load_bank, save_bank
+    from h3data_training.torch.rearrange.bank import RearrangeBank
+    from h3data_training.torch.rearrange.bank_file import load_bank, save_bank
 
     if file.exists():
         bank, kept = load_bank(file)
@@ -212,7 +212,7 @@ def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> Re
 
 def _home_bank(task: HomeTask) -> list[RearrangeBank]:
     """The bank of a home; none where it has no room."""
-    from sim_kinematic.torch.rearrange.bank import RearrangeBank
+    from h3data_training.torch.rearrange.bank import RearrangeBank
 
     settings, name, number = task
     home, roster = _home(name), make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)

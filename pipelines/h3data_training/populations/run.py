@@ -19,13 +19,13 @@ from h3data.plugins import own_version
 from h3data.terminal import counted
 from h3data_training import checkpoints
 from h3data_training.curve import EventLog, save_curve
+from h3data_training.envs.torch_env import checked_device
 from h3data_training.launch import Stop
 from h3data_training.populations.learner import ChooserLearner, plan_at
 from h3data_training.populations.playing import Job, Played, Players
 from h3data_training.populations.pool import bank_of, default_workers, episodes_of, pool_of, pool_order
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from h3data_training.running import SPARE_S, Result, Say, one_thread, share_of, stop_asked
-from sim_kinematic.envs.torch_env import checked_device
 from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.pictured import save_pictured
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
@@ -94,7 +94,7 @@ def _players(
             episodes = episodes_of(pool_of(settings, file or folder / EPISODES, workers=workers), settings)
         return Players(episodes, workers, say=say)
     from h3data_training.populations.worlds import TensorPlayers
-    from sim_kinematic.torch.rearrange.bank import RearrangeBank
+    from h3data_training.torch.rearrange.bank import RearrangeBank
 
     if episodes is None:
         bank = bank_of(settings, file or folder / BANK, workers=workers)

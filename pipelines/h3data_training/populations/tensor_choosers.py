@@ -12,6 +12,11 @@ import torch
 from torch import Tensor
 
 from h3data_training.populations.playing import Decisions, Job
+from h3data_training.torch.graph import keep_row
+from h3data_training.torch.rearrange.observations import Paths, View, observed
+from h3data_training.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLACE, every_choice, of_object
+from h3data_training.torch.rearrange.state import ABORTED, DONE, FREE, NOBODY, Play
+from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.policies.choosers.chooser_network import (
     ENCODINGS,
     OBSERVATIONS,
@@ -21,11 +26,6 @@ from sim_kinematic.policies.choosers.chooser_network import (
     rest_count,
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import ALERT_M, ALERT_STEPS
-from sim_kinematic.torch.graph import keep_row
-from sim_kinematic.torch.rearrange.observations import Paths, View, observed
-from sim_kinematic.torch.rearrange.skills import NAV_GOAL, NAV_OBJECT, PICK, PLACE, every_choice, of_object
-from sim_kinematic.torch.rearrange.state import ABORTED, DONE, FREE, NOBODY, Play
-from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
 
 Arrays = Mapping[str, Tensor]
 

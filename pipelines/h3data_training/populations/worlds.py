@@ -1,5 +1,5 @@
 """Training episodes with oracle skills, as many at once as an update has, in worlds on a device
-(`sim_kinematic.torch.rearrange`): the same decisions as `h3data_training.populations.playing` gathers.
+(`h3data_training.torch.rearrange`): the same decisions as `h3data_training.populations.playing` gathers.
 
 What an update plays follows from the weights, the seed, and the numbers of its episodes.
 """
@@ -15,13 +15,13 @@ from torch import Tensor
 from h3data_training.populations.playing import Batch, Decisions, Job, Played
 from h3data_training.populations.settings import ROBOT
 from h3data_training.populations.tensor_choosers import Row, TensorChooser
+from h3data_training.torch.graph import can_fuse, captured, fused, overwrite
+from h3data_training.torch.rearrange.bank import RearrangeBank, orders
+from h3data_training.torch.rearrange.observations import Paths, View
+from h3data_training.torch.rearrange.state import FREE, Play
+from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.rearrange import planner
-from sim_kinematic.torch.graph import can_fuse, captured, fused, overwrite
-from sim_kinematic.torch.rearrange.bank import RearrangeBank, orders
-from sim_kinematic.torch.rearrange.observations import Paths, View
-from sim_kinematic.torch.rearrange.state import FREE, Play
-from sim_kinematic.torch.rearrange.worlds import RearrangeTensors
 
 APART_M = 2.0
 """Agents begin at least this far from each other."""

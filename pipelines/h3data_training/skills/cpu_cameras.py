@@ -10,14 +10,14 @@ from torch import Tensor
 from h3data.geometry import pose_from_matrix
 from h3data.render import Output
 from h3data_training.cpu_cameras import stacked
+from h3data_training.torch.skills.cameras import moved_bodies
+from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
-from sim_kinematic.torch.skills.cameras import moved_bodies
-from sim_kinematic.torch.skills.worlds import SkillPlay, SkillTensors
 
 
 class CpuSkillCameras:
-    """Stands in for `sim_kinematic.torch.skills.cameras.SkillCameras`: the CPU renderer, world by world."""
+    """Stands in for `h3data_training.torch.skills.cameras.SkillCameras`: the CPU renderer, world by world."""
 
     def __init__(self, sim: SkillTensors, *, size: tuple[int, int]) -> None:
         self._sim, self._size = sim, size
@@ -25,7 +25,7 @@ class CpuSkillCameras:
         self._drawn: dict[int, StateRenderer] = {}
 
     def observe(self, play: SkillPlay, outputs: Sequence[Output] = ("depth",)) -> dict[str, Tensor]:
-        """As `sim_kinematic.torch.skills.cameras.SkillCameras.observe`."""
+        """As `h3data_training.torch.skills.cameras.SkillCameras.observe`."""
         sensor = CameraSensor(outputs=tuple(outputs), size=self._size)
         return stacked(sensor, (self._posed(play, w, episode) for w, episode in enumerate(play.episode.tolist())))
 

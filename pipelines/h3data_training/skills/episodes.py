@@ -17,6 +17,7 @@ from h3data.npz_arrays import npz_arrays
 from h3data.scene import FreeSpace, Scene
 from h3data_training.episodes import by_home
 from h3data_training.skills.settings import SkillSettings
+from h3data_training.torch.skills.bank import COLUMNS, SkillBank
 from sim_kinematic.agents.roster import AgentSpec, make_roster
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import episode_seed
@@ -24,7 +25,6 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.rearrange.skill_starts import draw_starts
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.sources import Home
-from sim_kinematic.torch.skills.bank import COLUMNS, SkillBank
 
 FILE_FORMAT = "h3data.skill_starts/1"
 DECIDING = ("scenes", "skill", "episodes_per_home", "starts", "path_m", "robot", "human")

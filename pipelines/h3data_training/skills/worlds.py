@@ -9,14 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from h3data_training.envs.torch_env import places_in_bank
 from h3data_training.held import HeldSteps
 from h3data_training.skills.settings import SkillSettings
-from sim_kinematic.envs.torch_env import places_in_bank
+from h3data_training.torch.graph import can_fuse, captured, fused, overwrite
+from h3data_training.torch.skills.bank import SkillBank
+from h3data_training.torch.skills.teacher import taught
+from h3data_training.torch.skills.worlds import SkillTensors
 from sim_kinematic.sensing.sensor import scaled_depth
-from sim_kinematic.torch.graph import can_fuse, captured, fused, overwrite
-from sim_kinematic.torch.skills.bank import SkillBank
-from sim_kinematic.torch.skills.teacher import taught
-from sim_kinematic.torch.skills.worlds import SkillTensors
 
 COUNTS = ("reward", "succeeded", "failed", "ended", "steps", "contact", "holding")
 """Sums over worlds and steps that `HeldSkills.totals` keeps."""
@@ -54,7 +54,7 @@ class HeldSkills(HeldSteps):
 
     def _make_cameras(self, size: tuple[int, int], *, compile: bool) -> Any:
         if self.device.type == "cuda":
-            from sim_kinematic.torch.skills.cameras import SkillCameras
+            from h3data_training.torch.skills.cameras import SkillCameras
 
             return SkillCameras(self.sim, worlds=self.num_envs, size=size, compile=compile)
         from h3data_training.skills.cpu_cameras import CpuSkillCameras

@@ -1,4 +1,4 @@
-"""Robots and people with the skills of `sim_kinematic.motion.spec.OracleSpec`. `sim_kinematic.torch.rearrange` is the same as
+"""Robots and people with the skills of `sim_kinematic.motion.spec.OracleSpec`. `h3data_training.torch.rearrange` is the same as
 tensors, line by line."""
 
 from __future__ import annotations

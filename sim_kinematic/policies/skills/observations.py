@@ -1,4 +1,4 @@
-"""What a learned skill is shown, on the CPU: `sim_kinematic.torch.skills.worlds` shows the same on a device."""
+"""What a learned skill is shown, on the CPU: `h3data_training.torch.skills.worlds` shows the same on a device."""
 
 from __future__ import annotations
 

@@ -165,9 +165,9 @@ def test_bases_of_habitat_are_refused_on_stairs() -> None:
 @pytest.mark.slow
 def test_devices_refuse_stairs_in_one_line() -> None:
     pytest.importorskip("torch")
+    from h3data_training.torch.episodes import EpisodeBank
+    from h3data_training.torch.social_nav import SocialNavTensors
     from sim_kinematic.tasks.social_nav import TRAINING
-    from sim_kinematic.torch.episodes import EpisodeBank
-    from sim_kinematic.torch.social_nav import SocialNavTensors
 
     bank = EpisodeBank.draw("small2-storeys:3", 1, seed=0, spec=TRAINING)
     with pytest.raises(InputError, match="stairs"):

@@ -1,0 +1,207 @@
+"""Rearrangement for training on a device: W worlds whose choices, observations and rewards are torch tensors there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from h3data.errors import InputError, did_you_mean
+from h3data.scene import Scene
+from h3data_training.envs.torch_env import Tensors, TorchEnv
+from h3data_training.torch.rearrange.observations import View, checked_observations, observed
+from h3data_training.torch.rearrange.state import FREE, Play
+from h3data_training.torch.rearrange.worlds import RearrangeTensors
+from sim_kinematic.policies.rearrange import PARTNERS
+from sim_kinematic.policies.rearrange_observations import STATE_SENSES, limits
+from sim_kinematic.tasks.describe import in_words
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Dict, Space
+
+    from h3data_training.torch.rearrange.bank import RearrangeBank
+    from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+
+KINDS = ("robot", "human")
+EPISODES = 256
+"""Of the bank, unless said otherwise: a minute or two to draw."""
+
+
+class RearrangeTorchEnv(TorchEnv[Play]):
+    """W worlds of rearrangement on one device, with oracle skills (h3data docs gpu).
+
+    A step is 1/30 s in all worlds. Whose choice counts in the next one says ``info["choosing"]``; -1 goes on. They play the
+    episodes of a bank, each world in order from a place of its own, which follows from its seed. With two agents, actions,
+    observations and what info has of each are by agent.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
+        *,
+        device: torch.device | str = "cuda",
+        dtype: torch.dtype | None = None,
+        agents: Sequence[str] = ("robot",),
+        partner: str | None = None,
+        observations: Sequence[str] = STATE_SENSES,
+        spec: RearrangeSpec | None = None,
+        interrupts_when_close: bool = True,
+        episodes: int | RearrangeBank = EPISODES,
+        episodes_seed: int = 0,
+        robot: str = "quad_arm",
+        human: str = "female_0",
+        graph: bool | None = None,
+        compile: bool | None = None,
+    ) -> None:
+        """
+        Args:
+            num_envs: W.
+            scenes: As `sim_kinematic.tasks.sources.EpisodeSource`.
+            device: Where all is: ``cuda``, ``cuda:1``, ``cpu``.
+            dtype: Of the state: by default float64 on the CPU, else float32.
+            agents: Who acts: ``robot``, ``human`` or both.
+            partner: The planner that moves the other one (`sim_kinematic.policies.rearrange.PARTNERS`; default ``plan_pop_4``).
+            observations: Names of what `step` shows (`h3data_training.torch.rearrange.observations.OBSERVED`).
+            spec: The rules, with oracle skills; by default `ORACLE_RULES`.
+            interrupts_when_close: Whether agents that act may choose anew in every step while the other is close.
+            episodes: How many are drawn for the bank, or a bank.
+            episodes_seed: The run whose first episodes these are.
+            robot: Name of a built-in robot.
+            human: Name of a built-in body.
+            graph: Whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: Whether its operations are fused (`h3data_training.torch.graph.fused`); by default on a GPU, if Triton is
+                installed.
+
+        Raises:
+            InputError: an argument is none that a device knows, or there is no such device.
+        """
+        from h3data_training.torch.rearrange.bank import RearrangeBank
+        from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES
+
+        self.agents: tuple[str, ...] = (agents,) if isinstance(agents, str) else tuple(agents)
+        if not self.agents or not set(self.agents) <= set(KINDS) or len(set(self.agents)) < len(self.agents):
+            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.")
+        if len(self.agents) == len(KINDS) and partner is not None:
+            raise InputError("Both agents are told from outside, so there is no partner. Hint: leave out partner.")
+        partner = partner or "plan_pop_4"
+        if partner not in PARTNERS:
+            raise InputError(
+                f"On a device partners are planners, not {partner!r}.{did_you_mean(str(partner), PARTNERS)} Expected one "
+                f"of: {', '.join(PARTNERS)}."
+            )
+        super().__init__(num_envs, device, graph=graph, compile=compile)
+        self._names = checked_observations((observations,) if isinstance(observations, str) else tuple(observations))
+        self._partner = partner
+        if not isinstance(episodes, RearrangeBank):
+            rules = ORACLE_RULES if spec is None else spec
+            episodes = RearrangeBank.draw(scenes, episodes, seed=episodes_seed, spec=rules, robot=robot, human=human)
+        elif spec is not None and spec != episodes.spec:
+            raise InputError("The bank has rules of its own. Hint: leave out spec.")
+        self.bank = episodes
+        self.sim = RearrangeTensors(
+            episodes, device=self.device, dtype=dtype, planners=set(KINDS) - set(self.agents), partner=partner,
+            interrupts="close" if interrupts_when_close else "never",
+        )  # fmt: skip
+        nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
+        self._actions = {kind: torch.full_like(nothing, FREE) for kind in KINDS}
+        self.play: Play = self.sim.before_the_first(nothing)
+        self._shown: dict[str, Tensors] = {}
+        self._told: Tensors = {}
+
+    # --- the interface ------------------------------------------------------------------------------------------------
+    def step(self, actions: Tensor | Mapping[str, Tensor]) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
+        """Move all worlds by 1/30 s, or begin their next episode: observations, rewards [W], terminated [W], truncated [W],
+        info.
+
+        ``actions`` are numbers of choices, int64 [W], or by agent. Those of agents that are busy have no effect; -1 goes on
+        with what an agent is at, or waits. Larger ones count as the last choice: finding out would have to wait for the device.
+
+        Raises:
+            InputError: the actions have another shape or are not whole numbers, or no episode has begun.
+        """
+        self._require_begun()
+        given = actions if isinstance(actions, Mapping) else {self.agents[0]: actions}
+        if set(given) != set(self.agents):
+            raise InputError(f"Expected actions of {' and '.join(self.agents)}, got those of {' and '.join(given)}.")
+        with torch.no_grad():
+            for agent, chosen in given.items():
+                numbers = torch.as_tensor(chosen)
+                if numbers.shape != (self.num_envs,) or numbers.dtype.is_floating_point:
+                    raise InputError(
+                        f"Expected whole numbers of shape {[self.num_envs]}, got {numbers.dtype} {list(numbers.shape)}."
+                    )
+                self._actions[agent].copy_(numbers, non_blocking=True)
+            return self._stepped()
+
+    def info(self) -> Tensors:
+        """What is known beyond the observations, [W, ...] each; ``episode`` is a number in the bank. With two agents what each
+        has of its own begins with ``robot_`` or ``human_``."""
+        return {name: tensor.clone() for name, tensor in self._told.items()}
+
+    # --- parts --------------------------------------------------------------------------------------------------------
+    def _eager(self) -> None:
+        """One step of all worlds, in place."""
+        self._shown, self._told = self._move()
+
+    def _moved(self) -> tuple[dict[str, Tensors], Tensors]:
+        self._keep(self.sim.step(self.play, self._actions["robot"], self._actions["human"]))
+        views = {agent: View.of(self.sim, self.play, agent) for agent in self.agents}
+        return {agent: observed(view, self._names) for agent, view in views.items()}, self._known(views)
+
+    def _known(self, views: Mapping[str, View]) -> Tensors:
+        play = self.play
+        known = {
+            "episode": play.episode, "steps": play.steps, "success": play.success, "collision": play.collides,
+            "held_by": play.held_by,
+        }  # fmt: skip
+        for agent, view in views.items():
+            prefix = f"{agent}_" if len(views) > 1 else ""
+            free = view.does.skill == FREE
+            known |= {
+                f"{prefix}choosing": free | view.close if self.sim.interrupts == "close" else free,
+                f"{prefix}action_mask": view.allowed().to(torch.int8),
+                f"{prefix}last": view.does.last,
+                f"{prefix}outcome": view.does.outcome,
+            }
+        return known
+
+    def _result(self) -> Any:
+        shown = {agent: {name: t.clone() for name, t in seen.items()} for agent, seen in self._shown.items()}
+        return shown if len(shown) > 1 else next(iter(shown.values()))
+
+    # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
+    @cached_property
+    def single_action_space(self) -> Space[Any]:
+        """Of one world; with two agents by agent."""
+        from sim_kinematic.envs.stepper import gymnasium
+
+        spaces: dict[str, Space[Any]] = {
+            agent: gymnasium.spaces.Discrete(len(self.sim.choices(agent))) for agent in self.agents
+        }
+        return gymnasium.spaces.Dict(spaces) if len(spaces) > 1 else spaces[self.agents[0]]
+
+    @cached_property
+    def single_observation_space(self) -> Dict:
+        """Of one world; with two agents by agent."""
+        from sim_kinematic.envs.stepper import gymnasium
+        from sim_kinematic.sensing.observation_set import box
+
+        arms = {"robot": len(self.bank.robot.require_arm()), "human": 0}
+        spaces = {}
+        for agent in self.agents:
+            known = limits(objects=self.bank.objects, arm=arms[agent])
+            spaces[agent] = gymnasium.spaces.Dict({name: box(known[name]) for name in self._names})
+        return gymnasium.spaces.Dict(spaces) if len(spaces) > 1 else spaces[self.agents[0]]
+
+    def __repr__(self) -> str:
+        models = {"robot": self.bank.robot.name, "human": self.bank.human.name}
+        acting = {kind: models[kind] for kind in self.agents}
+        others = {kind: f"{model} ({self._partner})" for kind, model in models.items() if kind not in self.agents}
+        what = in_words(
+            "rearrange", self.bank.scenes, len(self.bank.scenes), acting, beside=others, worlds=self.num_envs
+        )
+        return f"RearrangeTorchEnv({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"

@@ -1,0 +1,184 @@
+"""An environment of W worlds as tensors on a device: episodes of a bank, steps in place, one CUDA graph on a GPU.
+
+The interface is Gymnasium's of vector environments, which need not be installed. Autoreset is its NEXT_STEP.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data.errors import InputError
+from h3data_training.torch.graph import can_fuse, captured, fused, overwrite
+from h3data_training.torch.random import keys, random
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Space
+
+Tensors = dict[str, Tensor]
+
+
+class Playing(Protocol):
+    """Where W worlds are in their episodes."""
+
+    @property
+    def episode(self) -> Tensor: ...
+    @property
+    def ended(self) -> Tensor: ...
+    @property
+    def reward(self) -> Tensor: ...
+    @property
+    def terminated(self) -> Tensor: ...
+    @property
+    def truncated(self) -> Tensor: ...
+    def tensors(self) -> Any: ...
+
+
+P = TypeVar("P", bound=Playing)
+
+
+class TorchEnv(Generic[P]):
+    """The part that all tasks share. A task sets ``play`` and ``bank`` and has `_moved`, `_result` and `info`."""
+
+    bank: Any
+    """The episodes."""
+    play: P
+    """Where all worlds are; these tensors are overwritten by every step."""
+
+    def __init__(
+        self, num_envs: int, device: torch.device | str, *, graph: bool | None = None, compile: bool | None = None
+    ) -> None:
+        """
+        Args:
+            num_envs: W.
+            device: Where all is: ``cuda``, ``cuda:1``, ``cpu``.
+            graph: Whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: Whether its operations are fused (`h3data_training.torch.graph.fused`); by default on a GPU, if Triton is
+                installed.
+
+        Raises:
+            InputError: there are no such worlds, or no such device.
+        """
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.")
+        self.num_envs, self.device = int(num_envs), checked_device(device)
+        self._graph = self.device.type == "cuda" if graph is None else graph
+        self._compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
+        self._move = fused(self._moved) if self._compiles else self._moved
+        self._advance = self._eager
+        self._begun = False
+
+    # --- the interface ------------------------------------------------------------------------------------------------
+    def reset(self, *, seed: int | Sequence[int] | None = None, options: Any = None) -> tuple[Any, Tensors]:
+        """Begin the next episode in all worlds; with a seed, first go to the places in the bank that the runs seed,
+        seed + 1, ..., or those listed, begin at. There are no ``options``."""
+        if seed is None and not self._begun:
+            seed = int.from_bytes(os.urandom(7), "little")
+        with torch.no_grad():
+            if self._graph and self._advance == self._eager:
+                self._advance = captured(self._eager, list(self.play.tensors()))
+            if seed is not None:
+                self.play.episode.copy_(places_in_bank(seed, self.num_envs, len(self.bank)) - 1)
+            self.play.ended.fill_(True)
+            self._forget_actions()
+            self._advance()
+        self._begun = True
+        return self._result(), self.info()
+
+    def info(self) -> Tensors:
+        """Facts beyond the observations, [W, ...] each."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Nothing needs closing."""
+
+    # --- parts --------------------------------------------------------------------------------------------------------
+    def _require_begun(self) -> None:
+        if not self._begun:
+            raise InputError("No episode has begun. Hint: call reset() first.")
+
+    def _stepped(self) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
+        """All worlds a step further, by the actions that are set."""
+        self._advance()
+        play = self.play
+        ends = play.reward.to(torch.float32, copy=True), play.terminated.clone(), play.truncated.clone()
+        return self._result(), *ends, self.info()
+
+    def _keep(self, after: P) -> None:
+        """Writes a state over that of all worlds."""
+        overwrite(self.play.tensors(), after.tensors())
+
+    def _moved(self) -> Any:
+        """A step of all worlds, in place, and what it shows; what is fused."""
+        raise NotImplementedError
+
+    def _eager(self) -> None:
+        """A whole step, in place; what a graph captures."""
+        raise NotImplementedError
+
+    def _forget_actions(self) -> None:
+        """Makes the actions of the last step count for nothing in a new episode."""
+
+    def _result(self) -> Any:
+        """Observations of the last step, in tensors of their own: a graph writes into the same ones again."""
+        raise NotImplementedError
+
+    # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
+    @cached_property
+    def single_action_space(self) -> Space[Any]:
+        """Space of the action of one world."""
+        raise NotImplementedError
+
+    @cached_property
+    def single_observation_space(self) -> Space[Any]:
+        """Space of the observations of one world."""
+        raise NotImplementedError
+
+    @cached_property
+    def action_space(self) -> Space[Any]:
+        """Space of the actions of all worlds."""
+        return self._of_all(self.single_action_space)
+
+    @cached_property
+    def observation_space(self) -> Space[Any]:
+        """Space of the observations of all worlds."""
+        return self._of_all(self.single_observation_space)
+
+    def _of_all(self, space: Space[Any]) -> Space[Any]:
+        from sim_kinematic.envs.stepper import gymnasium
+
+        return gymnasium.vector.utils.batch_space(space, self.num_envs)
+
+
+def checked_device(device: torch.device | str) -> torch.device:
+    """The device of this name.
+
+    Raises:
+        InputError: there is none that this torch can use.
+    """
+    try:
+        chosen = torch.device(device)
+    except RuntimeError as fault:
+        raise InputError(f"Unknown device {device!r}. Expected cpu, cuda or cuda:N.") from fault
+    if chosen.type == "cuda" and not torch.cuda.is_available():
+        raise InputError("There is no GPU that this torch can use. Hint: device='cpu', or leave out device.")
+    return chosen
+
+
+def places_in_bank(seed: int | Sequence[int], worlds: int, episodes: int) -> Tensor:
+    """Where in a bank of episodes each world begins whose runs are seed, seed + 1, ..., or those listed, [W].
+
+    Raises:
+        InputError: there is neither one seed nor one for each world.
+    """
+    seeds = [int(seed) + w for w in range(worlds)] if isinstance(seed, int | np.integer) else list(seed)
+    if len(seeds) != worlds:
+        raise InputError(f"Expected one seed, or one for each of {worlds} worlds, got {len(seeds)}.")
+    drawn = random(keys(seeds, "bank", device="cpu"), torch.zeros(worlds, dtype=torch.int64), 1)[:, 0]
+    return (drawn * episodes).long()

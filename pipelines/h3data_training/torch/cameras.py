@@ -1,0 +1,187 @@
+"""What W robots and people see, without leaving the GPU: state -> frames of links and joints -> skin -> pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
+from h3data.geometry import IDENTITY_POSE
+from h3data.render import Output, RenderInstance, RenderScene, pinhole
+from h3data.render.gpu import GpuRenderer, GpuScene
+from h3data.render.sheets.scene_map import render_scene
+from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE
+from h3data.scene import Mesh, Scene
+from h3data_training.torch.cycle import WalkingCycle
+from h3data_training.torch.graph import fused
+from h3data_training.torch.state import HumanTensors, RobotTensors
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.sensing.camera_sensor import HEAD_HFOV_DEG, ROBOT_ID
+from sim_kinematic.sensing.sensor import HUMAN_ID
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+HUMAN = "human"
+"""The view between a person's eyes; others have the names of the robot's cameras."""
+NEAREST_M = 0.6
+"""One mesh has to do for all worlds; nearer than this to a camera a person seldom is."""
+
+
+class TensorCameras:
+    """Homes with a resting robot and a walking person, in W worlds that differ in the home and in where the two are."""
+
+    def __init__(
+        self, scenes: Scene | Sequence[Scene], robot: Robot, human: Humanoid, walker: WalkerSpec, *, worlds: int,
+        floor_y: float = 0.0, views: Sequence[str] = ("robot_arm",), size: tuple[int, int] | None = None,
+        hfov_deg: float | None = None, device: torch.device | str = "cuda",
+        compile: bool = False, renderer: Callable[..., GpuRenderer] | None = None,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            scenes: The home that all worlds share, or those that `observe` chooses from.
+            robot: Keeps its resting posture.
+            human: Is drawn with the full mesh or, where pictures are so small that one sees no difference from `NEAREST_M`,
+                with the light one.
+            walker: Which clip the person plays.
+            worlds: W.
+            floor_y: Height of the floor [m].
+            views: What takes pictures in every world: cameras of the robot (``robot_arm_rgb`` is ``robot_arm`` where it has no
+                other), and `HUMAN`.
+            size: Width and height [pixels] of all pictures; None is that of the first of the robot's cameras.
+            hfov_deg: Field of view of the robot's cameras instead of their own.
+            device: The GPU.
+            compile: Whether the frames of links and joints come from one kernel (`h3data_training.torch.graph.fused`).
+            renderer: What makes the renderer, if not `GpuRenderer`.
+
+        Raises:
+            InputError: there is no GPU, or no such camera.
+        """
+        if not views:
+            raise InputError("Expected at least one view.")
+        self.worlds, self.views, self._floor_y = worlds, tuple(views), floor_y
+        names = [camera.name for camera in robot.cameras]
+        mounted = {
+            view: robot.camera(view if view in names else view.removesuffix("_rgb"))
+            for view in self.views
+            if view != HUMAN
+        }
+        first = next(iter(mounted.values()), robot.cameras[0])
+        width, height = size or (first.width, first.height)
+        self.share = width * height / (first.width * first.height)
+        """Pixels of a picture over those of the first camera itself."""
+        homes = [scenes] if isinstance(scenes, Scene) else list(scenes)
+        self._lenses = {
+            view: pinhole(width, height, hfov_deg=hfov_deg or camera.hfov_deg, name=view)
+            for view, camera in mounted.items()
+        }
+        if HUMAN in self.views:
+            self._lenses[HUMAN] = pinhole(width, height, hfov_deg=HEAD_HFOV_DEG, name="human_head", near=HEAD_NEAR_M)
+        focal = max(lens.fx for lens in self._lenses.values())
+        stages = [_stage(home, robot, human, light=human.light_enough(focal, NEAREST_M)) for home in homes]
+        links = [k for k, link in enumerate(robot.links) if link.mesh is not None]
+        self.renderer = (renderer or GpuRenderer)(stages, width=width, height=height, worlds=worlds, device=device)
+        self._eyes: dict[str, Tensor] = {}
+        """Poses of the cameras as last posed, [W, 3, 4] each."""
+
+        def on_device(matrices: Any) -> Tensor:
+            rows = np.asarray(matrices, np.float64)[..., :3, :]
+            return torch.as_tensor(rows, dtype=torch.float32, device=self.renderer.device)
+
+        rest = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
+        eyes = [rest[camera.link] @ camera.pose for camera in mounted.values()]
+        self._robot, self._links = on_device([*(rest[n] for n in links), *eyes]), len(links)
+        self._cycle = WalkingCycle.of(human, walker)
+        joints = self._cycle.joint_matrices()
+        head = joints[:, human.joint_names.index("head")] @ HEAD_POSE
+        self._person = on_device(np.concatenate([joints, head[:, None]], 1))
+        self._frames = fused(self._frames_of) if compile else self._frames_of
+
+    def observe(
+        self,
+        robot: RobotTensors,
+        human: HumanTensors,
+        outputs: Sequence[Output] = ("depth",),
+        *,
+        place: Tensor | None = None,
+    ) -> dict[str, Tensor]:
+        """`pose`, then `picture` of all views, each [views, W, H, W', ...]."""
+        self.pose(robot, human, place=place)
+        return self._taken(self.views, outputs)
+
+    def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
+        """Puts the robot and the person of all worlds where they are.
+
+        ``place`` is the number of the home that each world is in, [W]; None leaves it as it was.
+        """
+        if place is not None:  # the kernels read it from the device in every launch, a replayed graph's included
+            self.renderer._held["scene_of_world"].copy_(place)
+        parts, joints = self._frames(robot, human)
+        self.renderer.update_poses(parts[:, : self._links])
+        self.renderer.update_joints(joints[:, :-1])
+        robots = [view for view in self.views if view != HUMAN]
+        self._eyes = {view: parts[:, self._links + k] for k, view in enumerate(robots)} | {HUMAN: joints[:, -1]}
+
+    def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
+        """Pictures of a view in all worlds as last posed, by output, each [W, H, W', ...] on the device; depth in metres."""
+        return {name: t[0] for name, t in self._taken((view,), outputs).items()}
+
+    def _taken(self, views: Sequence[str], outputs: Sequence[Output]) -> dict[str, Tensor]:
+        pictures = self.renderer.render(
+            [self._lenses[view] for view in views for _ in range(self.worlds)],
+            worlds=list(range(self.worlds)) * len(views), outputs=outputs,
+            poses=torch.cat([self._eyes[view] for view in views]),
+        )  # fmt: skip
+        return {name: t.unflatten(0, (len(views), self.worlds)) for name, t in pictures.items()}
+
+    def _frames_of(self, robot: RobotTensors, human: HumanTensors) -> tuple[Tensor, Tensor]:
+        """World matrices of the robot's links and cameras [W, N + C, 3, 4], of the person's joints and eyes [W, 56, 3, 4]."""
+        parts = in_world(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
+        posture = self._cycle.look_up(self._person, HumanTensors(*(t.float() for t in human)))
+        return parts, in_world(posture, human.xz.float(), human.heading.float(), self._floor_y)
+
+
+def _stage(scene: Scene, robot: Robot, human: Humanoid, *, light: bool) -> GpuScene:
+    """A home with one robot and one person in it. Robot and person have the same slots in all homes."""
+    skin, worn = (human.lod, human.lod_mesh) if light else (human.full, human.mesh)
+    meshes, instances, links = with_robot(scene, robot)
+    person = len(meshes)
+    instances.append(RenderInstance(person, np.eye(4), semantic_id=HUMAN_ID, name="human"))
+    return GpuScene(
+        RenderScene([*meshes, worn], instances, deformable=[person]),
+        moving=links,
+        skins={person: (skin, human.inverse_bind)},
+    )
+
+
+def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInstance], range]:
+    """Meshes and instances of a home with a robot in it, and the numbers of the robot's links among the instances."""
+    home = render_scene(scene)
+    links = [link for link in robot.links if link.mesh is not None]
+    first, ids = len(home.instances), {i.name: i.semantic_id for i in scene.instances}
+    instances = [replace(i, semantic_id=ids[i.name]) for i in home.instances]
+    instances += [
+        RenderInstance(len(home.meshes) + k, np.eye(4), semantic_id=ROBOT_ID, name=link.name)
+        for k, link in enumerate(links)
+    ]
+    meshes = [*home.meshes, *(link.mesh for link in links if link.mesh is not None)]
+    return meshes, instances, range(first, first + len(links))
+
+
+def in_world(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float | Tensor) -> Tensor:
+    """World matrices [W, N, 3, 4] of frames [N, 3, 4] or [W, N, 3, 4] in the frames of agents at [W, 2] with headings [W], on
+    floors of one height, or of one for each world [W].
+
+    Without a matrix product, which a GPU might do with 10 bits.
+    """
+    c, s = heading.cos()[:, None, None], heading.sin()[:, None, None]
+    x, y, z = frames.unbind(-2)
+    rows = torch.stack([c * x + s * z, y.expand(len(heading), -1, -1), c * z - s * x], -2)
+    place = torch.stack([xz[:, 0], torch.zeros_like(heading) + floor_y, xz[:, 1]], -1)
+    return rows + torch.nn.functional.pad(place[:, None, :, None], (3, 0))

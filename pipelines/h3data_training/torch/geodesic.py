@@ -1,0 +1,142 @@
+"""Shortest ways between two points of W worlds by look-ups alone, so that a GPU can do it in every step.
+
+Where a straight way is free, its length; else the shortest way through the lattice nodes around both ends
+(`h3data.scene.FreeSpace.lattice`). Beside the exact `FreeSpace.geodesic`, measured on pairs of random points in furnished
+homes: median 0.05 to 0.1 % off, 95 % within 1.2 % (tests/training/torch/test_social_nav.py holds that). Where the way is
+not straight, the direction in which it begins is a mean over those nodes: median 4 degrees off, 90 % within 15.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from h3data.scene import FreeSpace
+from h3data.scene.freespace._sdf import SLACK_M
+from h3data_training.torch.step import Grids, sample_sdf
+
+AROUND = 4
+"""The nodes of so many rows and columns around an end are tried."""
+LOOKS = 32
+"""Places on the straight way at which the distance to obstacles is looked up."""
+LOOK_APART_M = 0.4
+"""Farthest that these may be apart: nothing that keeps an agent out is thinner than twice its radius."""
+DETOUR_M = 0.02
+"""A node over which the way is so much longer counts 1 / e as much for its direction."""
+
+
+_PER_FLOOR = ("shift", "scale", "top", "stride", "first", "table_first", "size", "step", "clearance")
+"""Fields with a row for each floor."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lattices:
+    """Lattices of R floors, each with a margin without nodes, and all their tables one after the other."""
+
+    rows: Tensor
+    """Row of the table of each node, -1 = not free, int64 [nodes of all floors]."""
+    table: Tensor
+    """Shortest distances of all floors [m], inf between islands, float32 [N]."""
+    shift: Tensor
+    """[R, 2] and ``scale`` [R, 1]: the place in cells of a point p is ``shift + scale p``."""
+    scale: Tensor
+    top: Tensor
+    """Largest first row and column of the nodes around a point, [R, 2]."""
+    stride: Tensor
+    """Nodes per row of the lattice, int64 [R]."""
+    first: Tensor
+    """Number of the first node, int64 [R]."""
+    table_first: Tensor
+    """Place of the first row in ``table``, int64 [R]."""
+    size: Tensor
+    """Rows of the table, int64 [R]."""
+    step: Tensor
+    """Spacing [m], [R]."""
+    clearance: Tensor
+    """What a straight way must keep of obstacles [m], [R]."""
+
+    @classmethod
+    def of(cls, floors: Sequence[FreeSpace], device: torch.device | str, dtype: torch.dtype) -> Lattices:
+        """The lattices of these floors on a device; they are built at first use."""
+        lattices = [f.lattice for f in floors]
+        padded = [np.pad(lattice.rows.astype(np.int64), AROUND, constant_values=-1) for lattice in lattices]
+        step = np.array([lattice.step for lattice in lattices])
+        origin = np.stack([lattice.origin for lattice in lattices])
+
+        def on_device(array: NDArray) -> Tensor:
+            return torch.as_tensor(array, dtype=dtype if array.dtype.kind == "f" else None, device=device)
+
+        def starts(sizes: list[int]) -> Tensor:
+            return torch.as_tensor(np.cumsum([0, *sizes[:-1]]), device=device)
+
+        return cls(
+            rows=on_device(np.concatenate([p.ravel() for p in padded])),
+            table=torch.as_tensor(np.concatenate([t.table.ravel() for t in lattices]), device=device),
+            shift=on_device(-origin / step[:, None] - 0.5 + AROUND),
+            scale=on_device(1 / step[:, None]),
+            top=on_device(np.array([p.shape for p in padded], np.float64) - AROUND),
+            stride=on_device(np.array([p.shape[1] for p in padded])),
+            first=starts([p.size for p in padded]),
+            table_first=starts([t.table.size for t in lattices]),
+            size=on_device(np.array([len(t.table) for t in lattices])),
+            step=on_device(step),
+            clearance=on_device(np.array([f.radius_m - SLACK_M for f in floors])),
+        )
+
+    def at(self, place: Tensor) -> Lattices:
+        """The lattice of each world, by the numbers of their floors [W]; with one floor, that floor for all."""
+        if len(self.step) == 1:
+            return self
+        rows = {name: getattr(self, name)[place] for name in _PER_FLOOR}
+        return Lattices(rows=self.rows, table=self.table, **rows)
+
+
+class Way(NamedTuple):
+    """Shortest ways of W worlds."""
+
+    length: Tensor
+    """[W] [m]; inf where the table joins no nodes around the ends."""
+    towards: Tensor
+    """In which direction (x, z) they begin, of any length, [W, 2]."""
+
+
+def shortest_way(grids: Grids, lattices: Lattices, a: Tensor, b: Tensor) -> Way:
+    """The shortest way from a [W, 2] to b [W, 2]."""
+    gap = b - a
+    straight = torch.hypot(gap[:, 0], gap[:, 1])
+    along = torch.linspace(0, 1, LOOKS, dtype=a.dtype, device=a.device)[:, None, None]
+    least = sample_sdf(grids, torch.addcmul(a, along, gap)).distance.amin(0)
+    sees = (least >= lattices.clearance) & (straight <= LOOK_APART_M * (LOOKS - 1))
+    through = _through_nodes(lattices, torch.stack([a, b]))
+    return Way(
+        torch.where(sees, straight, torch.maximum(through.length, straight)),
+        torch.where((sees | through.length.isinf())[:, None], gap, through.towards),
+    )
+
+
+def _through_nodes(lattices: Lattices, ends: Tensor) -> Way:
+    """The shortest way between ``ends`` [2, W, 2] through a node beside each."""
+    f = torch.addcmul(lattices.shift, lattices.scale, ends)
+    low = torch.minimum((f.floor() - (AROUND // 2 - 1)).clamp_min(0.0), lattices.top)
+    k = torch.arange(AROUND**2, device=ends.device)
+    i, j = k // AROUND, k % AROUND
+    f = f - low
+    away = torch.hypot(f[..., 0, None] - i, f[..., 1, None] - j) * lattices.step[:, None]
+    low = low.long()
+    first = (low[..., 0] * lattices.stride + low[..., 1] + lattices.first)[..., None]
+    row = lattices.rows[first + (i * lattices.stride[:, None] + j)]
+    away = torch.where(row < 0, torch.inf, away)
+    row = row.clamp_min(0)
+    start = row[0] * lattices.size[:, None] + lattices.table_first[:, None]
+    ways = lattices.table[start[:, :, None] + row[1, :, None]] + (away[0, :, :, None] + away[1, :, None])
+    over = ways.amin(2)  # each node beside the start
+    length = over.amin(1)
+    weight = torch.exp((length[:, None] - over) / DETOUR_M)
+    towards = torch.stack([weight * (i - f[0, :, 0, None]), weight * (j - f[0, :, 1, None])], -1).sum(1)
+    return Way(length, towards)

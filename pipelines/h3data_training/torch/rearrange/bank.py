@@ -1,0 +1,238 @@
+"""A bank of drawn episodes of rearrangement: what needs searching (objects and goals within everybody's reach, where agents
+stand, the shortest paths to there) is done once on the host, so that steps on a device only look it up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
+from h3data.geometry import Array
+from h3data.scene import Scene
+from h3data_training.torch.step import Floor, refuse_stairs
+from sim_kinematic.agents.oracle.ways import Ways
+from sim_kinematic.policies.rearrange import partner_plan, planner
+from sim_kinematic.tasks.episode import agent_floor
+from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, PAIR, RearrangeEpisode, RearrangeSpec
+from sim_kinematic.tasks.rearrange.oracle import errands_of, floor_ways
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.sources import EpisodeSource, Scenes
+
+ROBOT, HUMAN, FLOOR = 0, 1, 2
+"""Whose paths a table is of: the two agents', to where they stand, and anybody's to the floor below an object."""
+
+
+class BankFloor(Floor, Protocol):
+    """The parts of a `h3data.scene.FreeSpace` that rearrangement on a device reads."""
+
+    @property
+    def floor_y(self) -> float: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RearrangeBank:
+    """N episodes of K objects in R homes. Paths to places are numbered ``(who * 2 + at_goal) * K + object``, F in all; points
+    of a path are the n corners of the home, then the S places at its end (`sim_kinematic.agents.oracle.ways.Ways`)."""
+
+    spec: RearrangeSpec
+    robot: Robot
+    human: Humanoid
+    floors: tuple[BankFloor, ...]
+    """Of the homes that are played in, [R]."""
+    scenes: tuple[Scene, ...]
+    """The homes, for pictures; none where the bank comes from a file."""
+    place: NDArray[np.int64]
+    """Number of the home, [N]."""
+    seeds: NDArray[np.int64]
+    """Of the episodes, as in recordings, [N]."""
+    starts: Array
+    """``(x, z, heading)`` of robot and person, [N, 2, 3]."""
+    spots: Array
+    """Where each object lies at the beginning, then where it is to go, [N, 2 K, 3] [m]."""
+    ends: Array
+    """Places at the ends of the paths, [N, F, S, 2] [m]; NaN where there are fewer."""
+    first: NDArray[np.int16]
+    """Point to go to first from each cell, F tables of as many as the home has cells for each episode, one after the other."""
+    first_of: NDArray[np.int64]
+    """Where those of an episode begin, [N]."""
+    after: NDArray[np.int16]
+    """Point to go to from each corner, F tables for each episode,"""
+    after_of: NDArray[np.int64]
+    left: NDArray[np.float32]
+    """and how far it is from there [m], 2 K tables: of the paths to the floor below objects and goals."""
+    left_of: NDArray[np.int64]
+    corners: Array
+    """Of all homes, one after the other [m], and"""
+    corners_of: NDArray[np.int64]
+    """where those of a home begin, [R + 1]."""
+    origins: Array
+    """Lower corner of the first cell of each home, [R, 2] [m]."""
+    shapes: NDArray[np.int64]
+    """Its cells along x and z, [R, 2]."""
+
+    @classmethod
+    def draw(
+        cls,
+        scenes: Scenes,
+        count: int,
+        *,
+        seed: int = 0,
+        spec: RearrangeSpec = ORACLE_RULES,
+        robot: str = "quad_arm",
+        human: str = "female_0",
+    ) -> RearrangeBank:
+        """The first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
+
+        Raises:
+            InputError: as `EpisodeSource` and `of`.
+            SceneError: no home has room for an episode.
+        """
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
+            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.")
+        source = EpisodeSource(Rearrange(), scenes, spec=spec, robot=robot, human=human)
+        runs = [(seed, k) for k in range(count)]
+        source.prepare(runs)
+        episodes = [source.sample(*run) for run in runs]
+        return cls.of([one for one in episodes if isinstance(one, RearrangeEpisode)])
+
+    @classmethod
+    def of(cls, episodes: Sequence[RearrangeEpisode]) -> RearrangeBank:
+        """A bank of these episodes of one robot and one person, under the rules of the first.
+
+        Raises:
+            InputError: somebody else plays, the rules have no oracle skills, or a device cannot move in a home.
+        """
+        spec, roster = episodes[0].spec, episodes[0].roster
+        _check(episodes)
+        robot, human = (member.body for member in roster)
+        assert isinstance(robot, Robot)
+        assert isinstance(human, Humanoid)
+        homes = {id(episode.free): episode for episode in episodes}
+        number = {key: k for k, key in enumerate(homes)}
+        ways = [_ways(episode) for episode in episodes]
+        widest = max(len(one.ends) for of_episode in ways for one in of_episode)
+        ends = np.full((len(episodes), len(ways[0]), max(widest, 1), 2), np.nan)
+        for n, of_episode in enumerate(ways):
+            for f, one in enumerate(of_episode):
+                ends[n, f, : len(one.ends)] = one.ends
+        floors = tuple(episode.free for episode in homes.values())
+        sample = {number[id(episode.free)]: of_episode[0] for episode, of_episode in zip(episodes, ways, strict=True)}
+        below = [of_episode[FLOOR * 2 * spec.objects :] for of_episode in ways]
+        first, first_of = _joined([[one.first for one in of_episode] for of_episode in ways])
+        after, after_of = _joined([[one.after for one in of_episode] for of_episode in ways])
+        left, left_of = _joined([[one.left.astype(np.float32) for one in of_episode] for of_episode in below])
+        return cls(
+            spec=spec, robot=robot, human=human, floors=floors,
+            scenes=tuple(episode.scene for episode in homes.values()),
+            place=np.array([number[id(episode.free)] for episode in episodes], np.int64),
+            seeds=np.array([episode.seed for episode in episodes], np.int64),
+            starts=np.array([episode.starts for episode in episodes]),
+            spots=np.array([[*(t.start[:3] for t in e.targets), *(t.goal for t in e.targets)] for e in episodes]),
+            ends=ends, first=first, first_of=first_of, after=after, after_of=after_of, left=left, left_of=left_of,
+            corners=np.concatenate([*(free.graph.nodes for free in floors), np.zeros((1, 2))]),  # never empty
+            corners_of=np.cumsum([0, *(len(free.graph.nodes) for free in floors)]),
+            origins=np.array([sample[r].origin for r in range(len(floors))]),
+            shapes=np.array([sample[r].shape for r in range(len(floors))], np.int64),
+        )  # fmt: skip
+
+    @classmethod
+    def merged(cls, banks: Sequence[RearrangeBank]) -> RearrangeBank:
+        """The episodes of several banks, one after the other, of the same rules and bodies: that of all of them, if no two are
+        in the same home."""
+        widest = max(bank.ends.shape[2] for bank in banks)
+        homes = np.cumsum([0, *(len(bank.floors) for bank in banks)])
+
+        def tables(name: str) -> tuple[NDArray, NDArray[np.int64]]:
+            parts = [getattr(bank, name)[:-1] for bank in banks]
+            begins = np.cumsum([0, *map(len, parts)])
+            own = [getattr(bank, f"{name}_of") + begin for bank, begin in zip(banks, begins, strict=False)]
+            return np.concatenate([*parts, getattr(banks[-1], name)[-1:]]), np.concatenate(own)
+
+        def wide(ends: Array) -> Array:
+            return np.pad(ends, ((0, 0), (0, 0), (0, widest - ends.shape[2]), (0, 0)), constant_values=np.nan)
+
+        (first, first_of), (after, after_of), (left, left_of) = map(tables, ("first", "after", "left"))
+        counts = np.concatenate([np.diff(bank.corners_of) for bank in banks])
+        columns = ("seeds", "starts", "spots", "origins", "shapes")
+        return replace(
+            banks[0], floors=tuple(floor for bank in banks for floor in bank.floors),
+            scenes=tuple(scene for bank in banks for scene in bank.scenes),
+            place=np.concatenate([bank.place + n for bank, n in zip(banks, homes, strict=False)]),
+            ends=np.concatenate([wide(bank.ends) for bank in banks]),
+            first=first, first_of=first_of, after=after, after_of=after_of, left=left, left_of=left_of,
+            corners=np.concatenate([*(bank.corners[:-1] for bank in banks), banks[-1].corners[-1:]]),
+            corners_of=np.cumsum([0, *counts]),
+            **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    @property
+    def objects(self) -> int:
+        """K."""
+        return self.spec.objects
+
+    def orders(self, partner: str) -> NDArray[np.int64]:
+        """The objects that a planner brings to their goals in each episode, in this order, [N, K]; then -1.
+
+        Raises:
+            InputError: there is no such planner.
+        """
+        return orders([planner(partner_plan(partner, seed), seed, self.objects).objects for seed in self.seeds.tolist()],
+                      self.objects)  # fmt: skip
+
+    def __repr__(self) -> str:
+        return f"RearrangeBank({len(self)} episodes of {self.objects} objects, {len(self.floors)} homes)"
+
+
+def orders(chosen: Sequence[Sequence[int]], objects: int) -> NDArray[np.int64]:
+    """Objects in the order of a planner, -1 after the last, [N, K]."""
+    return np.array([[*row, *[-1] * (objects - len(row))] for row in chosen], np.int64).reshape(-1, objects)
+
+
+def _ways(episode: RearrangeEpisode) -> list[Ways]:
+    """All paths of an episode, [F]."""
+    found = []
+    for number in (ROBOT, HUMAN):
+        errands = errands_of(episode, number)
+        found += [*errands.to_start, *errands.to_goal]
+    return [*found, *floor_ways(episode)]
+
+
+def _joined(tables: Sequence[Sequence[NDArray]]) -> tuple[NDArray, NDArray[np.int64]]:
+    """All tables of all episodes one after the other, with a last number so that there is one, and where those of each episode
+    begin."""
+    sizes = [sum(map(len, of_episode)) for of_episode in tables]
+    flat = [table for of_episode in tables for table in of_episode]
+    return np.concatenate([*flat, np.zeros(1, flat[0].dtype)]), np.cumsum([0, *sizes[:-1]])
+
+
+def _check(episodes: Sequence[RearrangeEpisode]) -> None:
+    first = episodes[0]
+    if first.spec.oracle is None:
+        raise InputError(
+            "On a device skills are the oracle ones. Hint: spec=sim_kinematic.tasks.rearrange.episode.ORACLE_RULES, or "
+            "leave out device."
+        )
+    if first.spec.robot.slide != "strict" or first.spec.human.stride is not None:
+        raise InputError(
+            "On a device robots slide strictly and people turn on the spot. Hint: BaseSpec() and WalkerSpec(), as in "
+            "ORACLE_RULES, or leave out device."
+        )
+    for episode in episodes:
+        kinds = tuple(member.kind for member in episode.roster)
+        models = [[member.model for member in one.roster] for one in (episode, first)]
+        if kinds != PAIR or models[0] != models[1] or len(episode.targets) != first.spec.objects:
+            raise InputError(
+                f"A bank is of one robot, one person and {first.spec.objects} objects, got {kinds} and "
+                f"{len(episode.targets)}."
+            )
+        if agent_floor(episode, ROBOT) is not episode.free:
+            raise InputError(f"On a device robots are as narrow as people; {episode.roster[ROBOT].model} is wider.")
+        refuse_stairs([episode.free])

@@ -1,0 +1,88 @@
+"""A bank of episodes in a file: numbers only, nothing in it is executed, and no home has to be built to play from it."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import FormatError, InputError
+from h3data.files import part_file
+from h3data.plugins import names_from_data
+from h3data_training.torch.rearrange.bank import RearrangeBank
+from sim_kinematic.agents.roster import make_roster
+from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeSpec
+from sim_kinematic.tasks.rearrange.task import Rearrange
+
+FORMAT = "h3data.rearrange_bank/1"
+BESIDE = ("spec", "robot", "human", "floors", "scenes")
+"""Fields of a bank that are no arrays."""
+ARRAYS = tuple(f.name for f in fields(RearrangeBank) if f.name not in BESIDE)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KeptFloor:
+    """A `h3data_training.torch.rearrange.bank.BankFloor` that comes from a file."""
+
+    sdf: NDArray[np.float32]
+    """Distance to the nearest obstacle at cell centres, [nx, nz] [m]."""
+    origin: NDArray[np.float64]
+    cell_m: float
+    floor_y: float
+
+
+def save_bank(bank: RearrangeBank, path: str | Path, *, drawn_by: Mapping[str, Any]) -> None:
+    """Writes a compressed npz that appears whole or not at all; ``drawn_by`` are the settings that the episodes follow from."""
+    about = {
+        "format": FORMAT, "drawn_by": dict(drawn_by), "rules": _rules(bank.spec),
+        "bodies": [bank.robot.name, bank.human.name],
+        "floors": [[*map(float, f.origin), float(f.cell_m), float(f.floor_y)] for f in bank.floors],
+    }  # fmt: skip
+    arrays = {name: getattr(bank, name) for name in ARRAYS}
+    grids = {f"sdf_{k}": np.asarray(floor.sdf, np.float32) for k, floor in enumerate(bank.floors)}
+    with part_file(path) as part, part.open("wb") as stream:
+        np.savez_compressed(stream, about=np.array(json.dumps(about)), **arrays, **grids)  # type: ignore[arg-type]
+
+
+def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[RearrangeBank, dict[str, Any]]:
+    """The bank of a file, without scenes, so not for pictures, and the settings that its episodes were drawn by.
+
+    Raises:
+        FormatError: it is none, or damaged.
+        InputError: its episodes are for other rules.
+    """
+    try:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in (*ARRAYS, *(n for n in file.files if n.startswith("sdf_")))}
+            about = json.loads(str(file["about"]))
+        robot_name, human_name = about["bodies"]
+        floors = tuple(
+            KeptFloor(sdf=arrays.pop(f"sdf_{k}"), origin=np.array([x, z]), cell_m=cell, floor_y=y)
+            for k, (x, z, cell, y) in enumerate(about["floors"])
+        )
+        ours = about["format"] == FORMAT and len(arrays["place"]) > 0 and set(arrays) == set(ARRAYS)
+        drawn_by, rules = dict(about["drawn_by"]), about["rules"]
+    except Exception as fault:  # zipfile and numpy have a dozen ways to say that bits are wrong
+        why = fault if isinstance(fault, OSError) or zipfile.is_zipfile(path) else "not an npz file"
+        raise FormatError(f"Expected a bank of episodes ({FORMAT}), this is none ({why}). File: {path}") from None
+    if not ours:
+        raise FormatError(f"Expected a bank of episodes {FORMAT}, got {about['format']}. File: {path}")
+    if rules != _rules(spec):
+        raise InputError(f"These episodes were drawn with other rules of the task. Hint: another file. File: {path}")
+    with names_from_data():
+        robot, human = (m.body for m in make_roster(Rearrange.agents, robot=robot_name, human=human_name))
+    assert isinstance(robot, Robot)
+    assert isinstance(human, Humanoid)
+    return RearrangeBank(spec=spec, robot=robot, human=human, floors=floors, scenes=(), **arrays), drawn_by
+
+
+def _rules(spec: RearrangeSpec) -> str:
+    return sha256(repr(spec).encode()).hexdigest()[:16]

@@ -1,0 +1,276 @@
+"""One turn of an agent: what it chooses, how it moves, what changes hands. It is `sim_kinematic.agents.oracle.actors`, line by
+line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from h3data.bodies import Humanoid, Robot
+from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, FREE, NOBODY, RUNNING, Errand
+from h3data_training.torch.rearrange.tables import Places
+from h3data_training.torch.state import HumanTensors, RobotTensors
+from h3data_training.torch.step import Grids, drive_robots, walk_humans, wrap_angle
+from sim_kinematic.agents.oracle.actors import AIMED_RAD, STALLED_STEPS, VIA_M, carry_point
+from sim_kinematic.agents.robots.driving import ARRIVED_M, FACING_RAD, NEARLY_M, STUCK_STEPS
+from sim_kinematic.agents.skills import CHOICE_WAIT_STEPS, PRIMITIVES
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, OracleSpec, WalkerSpec
+
+NAV_OBJECT, NAV_GOAL, PICK, PLACE, WAIT = range(5)
+"""Kinds of choices; primitives come after them."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Choices:
+    """What one kind of agent chooses among (`sim_kinematic.agents.skills.choices`), as tables by number, [C] each."""
+
+    who: int
+    """0 the robot, 1 the person."""
+    kind: Tensor
+    target: Tensor
+    """Number of the object; 0 of those that have none."""
+    steps: Tensor
+    """How long it lasts; 0 of those that go somewhere."""
+    command: Tensor
+    """Of the base, [C, 2]."""
+    carry: Tensor
+    """Where what it holds is in the frame of its root, [3] [m]."""
+    changes: int
+    """Step of a pick or a place in which the object changes hands."""
+
+    @classmethod
+    def of(
+        cls, body: Robot | Humanoid, objects: int, oracle: OracleSpec, device: torch.device, dtype: torch.dtype
+    ) -> Choices:
+        """Of a robot or a person."""
+        primitives = list(PRIMITIVES.values()) if isinstance(body, Robot) else []
+        changes, ends = oracle.robot_steps if isinstance(body, Robot) else oracle.person_steps
+        kinds = [kind for kind in range(4) for _ in range(objects)] + list(range(WAIT, WAIT + 1 + len(primitives)))
+        handling = [0] * (2 * objects) + [ends] * (2 * objects)
+
+        def whole(values: list[int]) -> Tensor:
+            return torch.tensor(values, dtype=torch.int64, device=device)
+
+        still = [(0.0, 0.0)] * (4 * objects + 1)
+        return cls(
+            who=0 if isinstance(body, Robot) else 1, kind=whole(kinds),
+            target=whole([*list(range(objects)) * 4, *[0] * (1 + len(primitives))]),
+            steps=whole([*handling, CHOICE_WAIT_STEPS, *(steps for *_, steps in primitives)]),
+            command=torch.tensor([*still, *((f, t) for f, t, _ in primitives)], dtype=dtype, device=device),
+            carry=torch.tensor(carry_point(body), dtype=dtype, device=device), changes=changes,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+class Hands(NamedTuple):
+    """The objects of W worlds and who holds them (`h3data_training.torch.rearrange.state.Play`)."""
+
+    objects: Tensor
+    held_by: Tensor
+    moved: Tensor
+    placed_by: Tensor
+
+
+class Turn(NamedTuple):
+    """An agent at what it does now, before it moves."""
+
+    does: Errand
+    kind: Tensor
+    """Of the choice that it is at; -1: it does nothing."""
+    goes: Tensor
+    """It is on its way to a place, bool [W]."""
+    spot: Tensor
+    """What it came for, [W, 3]."""
+
+
+def of_object(values: Tensor, k: Tensor) -> Tensor:
+    """Values [W, K] of one object of each world."""
+    return values.gather(1, k[:, None])[:, 0]
+
+
+def one_of(number: Tensor, count: int) -> Tensor:
+    """Whether each of ``count`` things is the one with a number [W], bool [W, count]."""
+    return number[:, None] == torch.arange(count, device=number.device)
+
+
+def precondition(choices: Choices, number: Tensor, hands: Hands) -> Tensor:
+    """Whether `sim_kinematic.agents.skills.Objects.why_not` finds no fault with choices [W] or, for all of them, [W, C]."""
+    kind, k = choices.kind[number], choices.target[number]
+    flat = k if k.ndim == 2 else k[:, None]
+    holder = hands.held_by.gather(1, flat).reshape(k.shape)
+    full = (hands.held_by == choices.who).any(1)
+    full = full[:, None] if k.ndim == 2 else full
+    mine, free = holder == choices.who, holder == NOBODY
+    return torch.where(
+        kind == NAV_OBJECT, free,
+        torch.where(kind == PICK, free & ~full, torch.where(kind == PLACE, mine, torch.ones_like(mine))),
+    )  # fmt: skip
+
+
+def every_choice(choices: Choices, worlds: int) -> Tensor:
+    """The numbers of all choices, [W, C]."""
+    return torch.arange(len(choices), device=choices.kind.device).expand(worlds, -1)
+
+
+def begin(
+    choices: Choices, does: Errand, chosen: Tensor, places: Places, xz: Tensor, heading: Tensor, bearing: float, hands: Hands,
+    oracle: OracleSpec,
+) -> Turn:  # fmt: skip
+    """Agents that are free begin what they have ``chosen`` [W], if they can; else they fail and do nothing in this step."""
+    objects, free = places.tables.objects, does.skill == FREE
+    number = torch.where(free, chosen, does.skill)
+    kind, k = choices.kind[number], choices.target[number]
+    at_goal = (kind == NAV_GOAL) | (kind == PLACE) | of_object(hands.moved, k)
+    field = torch.where(free, (choices.who * 2 + at_goal.long()) * objects + k, does.field)
+    spot = places.spots(field % (2 * objects))
+    first = places.first(field, xz)
+    goes, handles = (kind == NAV_OBJECT) | (kind == NAV_GOAL), (kind == PICK) | (kind == PLACE)
+    gap = places.ends(field) - xz[:, None]
+    there = (gap[..., 0] ** 2 + gap[..., 1] ** 2 <= oracle.reach_m**2).any(1)
+    reached = there & (error_to(xz, heading, spot[:, 0::2], bearing).abs() <= oracle.reach_rad)
+    can = precondition(choices, number, hands) & (~goes | (first >= 0)) & (~handles | reached)
+    starts, fails = free & can, free & ~can
+    zero = torch.zeros_like(does.timer)
+    does = does._replace(
+        skill=torch.where(starts, number, does.skill),
+        field=torch.where(starts, field, does.field),
+        way=torch.where(starts & goes, first, does.way),
+        best=torch.where(starts, torch.inf, does.best),
+        since=torch.where(starts, zero, does.since),
+        timer=torch.where(starts, zero, does.timer),
+        last=torch.where(free, number, does.last),
+        outcome=torch.where(free, torch.where(fails, FAILED, RUNNING), does.outcome),
+    )
+    busy = does.skill != FREE
+    return Turn(does, torch.where(busy, kind, -1), busy & goes, spot)
+
+
+def interrupted(does: Errand, chosen: Tensor, may: Tensor) -> Errand:
+    """Agents that ``may`` [W] choose anew, and have chosen something else than what they are at."""
+    stops = (does.skill != FREE) & may & (chosen != FREE) & (chosen != does.skill)
+    return does._replace(
+        skill=torch.where(stops, FREE, does.skill),
+        last=torch.where(stops, does.skill, does.last),
+        outcome=torch.where(stops, ABORTED, does.outcome),
+    )
+
+
+def error_to(xz: Tensor, heading: Tensor, point: Tensor, bearing: float = 0.0) -> Tensor:
+    """By how much agents must turn to have points [W, 2] at a bearing to their left, [W] [rad]."""
+    gap = point - xz
+    return wrap_angle(torch.atan2(-gap[:, 1], gap[:, 0]) - bearing - heading)
+
+
+def _go_on(turn: Turn, places: Places, xz: Tensor, within_m: float) -> tuple[Errand, Tensor, Tensor, Tensor]:
+    """The point that each agent goes to now, how far it is, and whether it is the end of the path."""
+    does = turn.does
+    point = places.points(does.field, does.way)
+    gap = point - xz
+    away = torch.hypot(gap[:, 0], gap[:, 1])
+    hops = turn.goes & (does.way < places.n) & (away <= within_m)
+    way = torch.where(hops, places.after(does.field, does.way), does.way)
+    point = torch.where(hops[:, None], places.points(does.field, way), point)
+    gap = point - xz
+    away = torch.where(hops, torch.hypot(gap[:, 0], gap[:, 1]), away)
+    does = does._replace(way=way, best=torch.where(hops, torch.inf, does.best))
+    return does, point, away, way >= places.n
+
+
+def _is_there(does: Errand, away: Tensor, is_end: Tensor) -> Tensor:
+    content = (does.since > STALLED_STEPS) | (does.best < 0.0)
+    return is_end & ((away <= ARRIVED_M) | ((away <= NEARLY_M) & content))
+
+
+def move_robots(
+    choices: Choices, turn: Turn, robot: RobotTensors, places: Places, grids: Grids, base: BaseSpec, bearing: float
+) -> tuple[RobotTensors, Errand]:
+    """One step of the base; whoever has arrived turned, or is stuck, is free again."""
+    xz, heading, spot = robot.xz, robot.heading, turn.spot[:, 0::2]
+    does, point, away, is_end = _go_on(turn, places, xz, VIA_M)
+    there = _is_there(does, away, is_end)
+    facing = error_to(xz, heading, spot, bearing)
+    error = torch.where(there, facing, error_to(xz, heading, point))
+    stride = base.max_speed_mps * STEP_S
+    ahead, aside = error.cos().clamp_min(0.0) ** 2, error.sin().abs()
+    forward = torch.minimum(ahead, 0.5 * base.max_turn_rad_s * STEP_S * away / (aside * stride).clamp_min(1e-9))
+    forward = torch.where(is_end, torch.minimum(forward, away / stride), forward)
+    turned = (error / (base.max_turn_rad_s * STEP_S)).clamp(-1.0, 1.0)
+    going = torch.stack([torch.where(there, 0.0, forward), turned], -1)
+    primitive = torch.where((turn.kind > WAIT)[:, None], choices.command[does.skill.clamp_min(0)], 0.0)
+    robot = drive_robots(grids, robot, torch.where(turn.goes[:, None], going, primitive), base)
+    left = torch.where(there, 0.1 * facing.abs() - 1.0, away)
+    gets_on = left < does.best - 1e-3
+    does = does._replace(
+        best=torch.where(turn.goes & gets_on, left, does.best),
+        since=torch.where(turn.goes, torch.where(gets_on, 0, does.since + 1), does.since),
+    )
+    gap = point - robot.xz
+    there = _is_there(does, torch.hypot(gap[:, 0], gap[:, 1]), is_end)
+    done = turn.goes & there & (error_to(robot.xz, robot.heading, spot, bearing).abs() < FACING_RAD)
+    return robot, _ended(does, done, turn.goes & ~done & (does.since > STUCK_STEPS))
+
+
+def move_people(
+    turn: Turn, person: HumanTensors, places: Places, walker: WalkerSpec
+) -> tuple[HumanTensors, Errand]:  # fmt: skip
+    """One step of the person; whoever has arrived turned is free again."""
+    spot, within = turn.spot[:, 0::2], walker.arrive_m
+    does, point, away, is_end = _go_on(turn, places, person.xz, within)
+    turns = turn.goes & is_end & (away <= within)
+    most = walker.turn_rad_s * STEP_S
+    turned = torch.where(turns, error_to(person.xz, person.heading, spot).clamp(-most, most), 0.0)
+    moved = walk_humans(person, torch.where((turn.goes & ~turns)[:, None], point, person.xz), walker)
+    person = moved._replace(heading=moved.heading + turned)
+    gap = point - person.xz
+    arrived = is_end & (torch.hypot(gap[:, 0], gap[:, 1]) <= within)
+    done = turn.goes & arrived & (error_to(person.xz, person.heading, spot).abs() < AIMED_RAD)
+    return person, _ended(does, done, torch.zeros_like(done))
+
+
+def handle(
+    choices: Choices, kind: Tensor, does: Errand, hands: Hands, spot: Tensor, root: Tensor, heading: Tensor
+) -> tuple[Errand, Hands]:
+    """What is held goes along with the agent at ``root`` [W, 3]; picks and places change hands; what lasts some steps ends."""
+    who, k = choices.who, choices.target[does.skill.clamp_min(0)]
+    timed = (kind >= PICK) & (does.skill != FREE)
+    timer = torch.where(timed, does.timer + 1, does.timer)
+    one = one_of(k, hands.held_by.shape[1])
+    now = timed & (timer == choices.changes)
+    places, picks = now & (kind == PLACE), now & (kind == PICK)
+    misses = picks & ((of_object(hands.held_by, k) != NOBODY) | (of_object3(hands.objects, k) != spot).any(1))
+    takes = (picks & ~misses)[:, None] & one
+    puts = places[:, None] & one
+    held_by = torch.where(takes, who, torch.where(puts, NOBODY, hands.held_by))
+    carried = in_hand(choices.carry, root, heading)
+    objects = torch.where((held_by == who)[..., None], carried[:, None], hands.objects)
+    objects = torch.where(puts[..., None], spot[:, None], objects)
+    placed_by = torch.where(puts, who, torch.where(takes, NOBODY, hands.placed_by))
+    moved = (hands.moved | puts) & ~takes
+    over = timed & (timer >= choices.steps[does.skill.clamp_min(0)])
+    does = _ended(does._replace(timer=timer), over & ~misses, misses)
+    return does, Hands(objects, held_by, moved, placed_by)
+
+
+def of_object3(values: Tensor, k: Tensor) -> Tensor:
+    """Vectors [W, K, 3] of one object of each world."""
+    return values.gather(1, k[:, None, None].expand(-1, 1, values.shape[-1]))[:, 0]
+
+
+def in_hand(carry: Tensor, root: Tensor, heading: Tensor) -> Tensor:
+    """World points [W, 3] of what agents carry, by the place in the frame of their roots [3]."""
+    c, s = heading.cos(), heading.sin()
+    x, z = root[:, 0] + c * carry[0] + s * carry[2], root[:, 2] - s * carry[0] + c * carry[2]
+    return torch.stack([x, root[:, 1] + carry[1], z], -1)
+
+
+def _ended(does: Errand, done: Tensor, failed: Tensor) -> Errand:
+    over = done | failed
+    return does._replace(
+        skill=torch.where(over, FREE, does.skill),
+        outcome=torch.where(done, DONE, torch.where(failed, FAILED, does.outcome)),
+    )

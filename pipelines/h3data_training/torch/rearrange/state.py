@@ -1,0 +1,128 @@
+"""Where W worlds of rearrangement are in their episodes, as tensors that are replaced, not changed in place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from h3data_training.torch.state import HumanTensors, RobotTensors
+from sim_kinematic.tasks.rearrange.play import TRACK
+
+RUNNING, DONE, FAILED, ABORTED = 0, 1, 2, 3
+"""How the last choice of an agent ended."""
+NOBODY = -1
+FREE = -1
+"""Number of the choice of an agent that has to choose; also an action: go on, or wait."""
+
+
+class Errand(NamedTuple):
+    """What one agent of each world is doing."""
+
+    skill: Tensor
+    """Number of the choice that it is at, int64 [W]; `FREE`: it chooses in its next turn."""
+    field: Tensor
+    """Number of the paths that it follows (`RearrangeBank`), int64 [W]."""
+    way: Tensor
+    """Number of the point that it goes to, int64 [W]."""
+    best: Tensor
+    """Least distance to it so far [W] [m]; below 0: it has begun to turn there."""
+    since: Tensor
+    """Steps since then, int64 [W]."""
+    timer: Tensor
+    """Steps of the skill so far, int64 [W]."""
+    last: Tensor
+    """Number of the last choice, int64 [W],"""
+    outcome: Tensor
+    """and how it ended, int64 [W]."""
+    order: Tensor
+    """Of a planner: objects to bring to their goals, one after the other, int64 [W, K]; -1 after the last,"""
+    passed: Tensor
+    """so many of which are behind it, int64 [W], """
+    tries: Tensor
+    """and how often it has failed at the present one, int64 [W]."""
+
+    @classmethod
+    def none(cls, worlds: int, objects: int, device: torch.device, dtype: torch.dtype) -> Errand:
+        """Agents that choose in their next turn."""
+
+        def whole(value: int, *axes: int) -> Tensor:
+            return torch.full((worlds, *axes), value, dtype=torch.int64, device=device)
+
+        return cls(
+            skill=whole(FREE), field=whole(0), way=whole(0),
+            best=torch.full((worlds,), torch.inf, dtype=dtype, device=device), since=whole(0), timer=whole(0),
+            last=whole(-1), outcome=whole(RUNNING), order=whole(-1, objects), passed=whole(0), tries=whole(0),
+        )  # fmt: skip
+
+
+class Play(NamedTuple):
+    """W worlds of robot and person."""
+
+    robot: RobotTensors
+    human: HumanTensors
+    robot_does: Errand
+    human_does: Errand
+    objects: Tensor
+    """Where the objects are, [W, K, 3] [m]."""
+    held_by: Tensor
+    """Who holds each: 0 the robot, 1 the person, -1 nobody, int64 [W, K]."""
+    moved: Tensor
+    """Whether each has been put down at its goal, bool [W, K]."""
+    placed_by: Tensor
+    """Who was the last to put it down, -1 nobody, int64 [W, K]."""
+    paid: Tensor
+    """Sub-goals that have been paid: each object picked, each at its goal, bool [W, 2 K]."""
+    track: Tensor
+    """Where robot and person were at the end of the last steps, in a ring by number of the step, [W, 31, 2, 2] [m]."""
+    before: Tensor
+    """``(x, z, heading)`` of both a step ago, [W, 2, 3]."""
+    episode: Tensor
+    """Number in the bank, int64 [W]."""
+    steps: Tensor
+    """Steps of the episode so far, int64 [W]."""
+    ended: Tensor
+    """The episode is over: the next step begins another, bool [W]."""
+    success: Tensor
+    collides: Tensor
+    """They touch, bool [W]."""
+    reward: Tensor
+    """Of the last step, [W]."""
+    terminated: Tensor
+    """The rules ended the episode in the last step, bool [W]."""
+    truncated: Tensor
+    """It had all its steps, bool [W]."""
+
+    @classmethod
+    def before_the_first(cls, episode: Tensor, objects: int, dtype: torch.dtype) -> Play:
+        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        worlds, device = len(episode), episode.device
+
+        def numbers(*axes: int) -> Tensor:
+            return torch.zeros((worlds, *axes), dtype=dtype, device=device)
+
+        def flags(*axes: int) -> Tensor:
+            return torch.zeros((worlds, *axes), dtype=torch.bool, device=device)
+
+        nobody = torch.full((worlds, objects), NOBODY, dtype=torch.int64, device=device)
+        return cls(
+            robot=RobotTensors(numbers(2), numbers(), flags()),
+            human=HumanTensors(numbers(2), numbers(), numbers(), numbers(), numbers()),
+            robot_does=Errand.none(worlds, objects, device, dtype), human_does=Errand.none(worlds, objects, device, dtype),
+            objects=numbers(objects, 3), held_by=nobody, moved=flags(objects), placed_by=nobody.clone(),
+            paid=flags(2 * objects), track=numbers(TRACK, 2, 2), before=numbers(2, 3), episode=episode.clone(),
+            steps=torch.zeros_like(episode), ended=~flags(), success=flags(), collides=flags(), reward=numbers(),
+            terminated=flags(), truncated=flags(),
+        )  # fmt: skip
+
+    def tensors(self) -> Iterator[Tensor]:
+        """All of it, in a fixed order."""
+        for part in self:
+            yield from (part if isinstance(part, tuple) else (part,))
+
+
+def choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    """``a`` in the worlds where ``flag`` [W] holds, else ``b``, both [W, ...]."""
+    return torch.where(flag.reshape(-1, *[1] * (a.ndim - 1)), a, b)

@@ -1,0 +1,239 @@
+"""Social rearrangement in W worlds on a device: `sim_kinematic.tasks.rearrange.play` under the rules of
+`sim_kinematic.motion.spec.OracleSpec`.
+
+State, choices and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new episodes
+is one CUDA graph. The same episodes with the same choices are those of the CPU (tests/training/torch/test_rearrange.py): places
+within 1e-9 m in float64, everything else exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from h3data_training.torch.rearrange.bank import RearrangeBank
+from h3data_training.torch.rearrange.planners import planned
+from h3data_training.torch.rearrange.skills import (
+    Choices,
+    Hands,
+    begin,
+    handle,
+    interrupted,
+    move_people,
+    move_robots,
+    one_of,
+)
+from h3data_training.torch.rearrange.state import FREE, NOBODY, Errand, Play, choose
+from h3data_training.torch.rearrange.tables import Places, Tables
+from h3data_training.torch.state import HumanTensors, RobotTensors
+from h3data_training.torch.step import Grids, heading_direction
+from sim_kinematic.agents.robots.hand_reach import reach_bearing
+from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.motion.spec import OracleSpec
+from sim_kinematic.tasks.rearrange.play import TRACK
+from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
+
+
+class RearrangeTensors:
+    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+
+    def __init__(
+        self,
+        bank: RearrangeBank,
+        *,
+        device: torch.device | str,
+        dtype: torch.dtype | None = None,
+        planners: Collection[str] = ("human",),
+        partner: str = "plan_pop_4",
+        interrupts: Literal["close", "always", "never"] = "close",
+        repeats: bool = True,
+    ) -> None:
+        """
+        Args:
+            bank: The episodes.
+            device: Where all is.
+            dtype: Of the state: float64 on the CPU, else float32.
+            planners: Which of ``robot`` and ``human`` follow plans; the others are told what to do.
+            partner: Whose plans those are (`sim_kinematic.policies.rearrange.PARTNERS`).
+            interrupts: When agents that are told may choose anew before they are free: while the other is ``close``, as in
+                the environments, ``always`` or ``never``.
+            repeats: Whether another episode begins when one is over; else the world stays as it is.
+        """
+        self.device = torch.device(device)
+        self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
+        self.bank, self.spec, self.planners = bank, bank.spec, frozenset(planners)
+        self.interrupts, self._repeats = interrupts, repeats
+        self.oracle = bank.spec.oracle or OracleSpec()
+        self.tables = Tables.of(bank, self.device, self.dtype)
+        self._grids = Grids.of(bank.floors, self.device, self.dtype)
+        self._base, self._bearing = base_of(bank.robot, bank.spec.robot), reach_bearing(bank.robot)
+        self.robot_choices, self.human_choices = (
+            Choices.of(body, bank.objects, self.oracle, self.device, self.dtype) for body in (bank.robot, bank.human)
+        )
+        self.orders = torch.as_tensor(bank.orders(partner), device=self.device)
+        """Plan of each episode of the bank, [N, K]."""
+        self._near = torch.tensor(bank.spec.near_m, dtype=self.dtype, device=self.device)
+
+    def choices(self, agent: str) -> Choices:
+        """What an agent chooses among."""
+        return self.robot_choices if agent == "robot" else self.human_choices
+
+    def before_the_first(self, episode: Tensor) -> Play:
+        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        return Play.before_the_first(episode.to(self.device), self.bank.objects, self.dtype)
+
+    # --- a step -------------------------------------------------------------------------------------------------------
+    def step(self, play: Play, robot: Tensor, human: Tensor) -> Play:
+        """All worlds after a step in which the agents choose ``robot`` and ``human``, int64 [W]; those that had ended at the
+        start of their next episode. Choices of planners, and of agents that are busy, have no effect; -1 goes on, or waits."""
+        if not self._repeats:
+            return self._kept(play, robot, human)
+        return self._begun(play, self._moved(play, robot, human), play.ended)
+
+    def start_at(self, episode: Tensor, starts: Tensor) -> Play:
+        """All worlds at the start of these episodes [W], but with robot and person at ``(x, z, heading)`` [W, 2, 3]."""
+        return self._at_start(episode, starts)
+
+    def start(self, play: Play) -> Play:
+        """Those worlds that have ended at the start of their next episode."""
+        return self._begun(play, play, play.ended)
+
+    def _kept(self, play: Play, robot: Tensor, human: Tensor) -> Play:
+        over, after = play.ended, self._moved(play, robot, human)
+        nothing = torch.zeros_like(after.reward)
+        kept = [choose(over, a, b) for a, b in zip(play.tensors(), after.tensors(), strict=True)]
+        stays = packed(play, kept)
+        return stays._replace(
+            reward=torch.where(over, nothing, after.reward), terminated=after.terminated & ~over,
+            truncated=after.truncated & ~over,
+        )  # fmt: skip
+
+    def _moved(self, play: Play, robot_choice: Tensor, human_choice: Tensor) -> Play:
+        """After a step of those that go on: people first, then robots, as on the CPU."""
+        places = self.tables.at(play.episode)
+        hands = Hands(play.objects, play.held_by, play.moved, play.placed_by)
+        before = self._poses(play.robot, play.human)
+        floor_y = self.tables.floor_y[places.place]
+        human, does, hands = self._human(play, human_choice, places, hands, floor_y)
+        robot, robot_does, hands = self._robot(play, human, robot_choice, places, hands, floor_y)
+        steps = play.steps + 1
+        now = torch.stack([robot.xz, human.xz], 1)
+        row = one_of(steps % TRACK, TRACK)
+        play = play._replace(
+            robot=robot, human=human, robot_does=robot_does, human_does=does, objects=hands.objects, held_by=hands.held_by,
+            moved=hands.moved, placed_by=hands.placed_by, steps=steps, before=before,
+            track=torch.where(row[..., None, None], now[:, None], play.track),
+        )  # fmt: skip
+        return self._judged(play, places)
+
+    def _human(
+        self, play: Play, choice: Tensor, places: Places, hands: Hands, floor_y: Tensor
+    ) -> tuple[HumanTensors, Errand, Hands]:
+        person, choices, does = play.human, self.human_choices, play.human_does
+        close = self.close(person.xz, person.heading, play.robot.xz)
+        does, choice = self._chosen("human", choices, does, choice, close, hands, places)
+        turn = begin(choices, does, choice, places, person.xz, person.heading, 0.0, hands, self.oracle)
+        person, does = move_people(turn, person, places, self.spec.human)
+        root = torch.stack([person.xz[:, 0], floor_y, person.xz[:, 1]], -1)
+        does, hands = handle(choices, turn.kind, does, hands, turn.spot, root, person.heading)
+        return person, does, hands
+
+    def _robot(
+        self, play: Play, human: HumanTensors, choice: Tensor, places: Places, hands: Hands, floor_y: Tensor
+    ) -> tuple[RobotTensors, Errand, Hands]:
+        robot, choices, does = play.robot, self.robot_choices, play.robot_does
+        close = self.close(robot.xz, robot.heading, human.xz)
+        does, choice = self._chosen("robot", choices, does, choice, close, hands, places)
+        turn = begin(choices, does, choice, places, robot.xz, robot.heading, self._bearing, hands, self.oracle)
+        robot, does = move_robots(choices, turn, robot, places, self._grids.at(places.place), self._base, self._bearing)
+        root = torch.stack([robot.xz[:, 0], floor_y, robot.xz[:, 1]], -1)
+        does, hands = handle(choices, turn.kind, does, hands, turn.spot, root, robot.heading)
+        return robot, does, hands
+
+    def _chosen(
+        self, agent: str, choices: Choices, does: Errand, choice: Tensor, close: Tensor, hands: Hands, places: Places
+    ) -> tuple[Errand, Tensor]:
+        """What an agent is at after having been interrupted, and what it chooses if it is free."""
+        if agent in self.planners:
+            number, does = planned(choices, does, hands, self.at_goal(hands, places))
+            return does, number
+        choice = choice.clamp(FREE, len(choices) - 1)
+        if self.interrupts != "never":
+            does = interrupted(does, choice, close if self.interrupts == "close" else torch.ones_like(close))
+        return does, torch.where(choice == FREE, 4 * self.bank.objects, choice)
+
+    def _judged(self, play: Play, places: Places) -> Play:
+        """With what the step was worth."""
+        hands = Hands(play.objects, play.held_by, play.moved, play.placed_by)
+        at_goal, spec = self.at_goal(hands, places), self.spec
+        success = at_goal.all(1)
+        collides = self.touching(play.robot, play.human)
+        stages = torch.cat([play.held_by != NOBODY, at_goal], 1)
+        reached = (stages & ~play.paid).sum(1)
+        worth = REARRANGE_REWARDS[spec.reward]
+        reward = worth.of(reached.to(self.dtype), collides.to(self.dtype), success.to(self.dtype))
+        terminated = success | collides if spec.end_on_collision else success
+        truncated = ~terminated & (play.steps >= spec.max_steps)
+        return play._replace(
+            paid=play.paid | stages, success=success, collides=collides, reward=reward, terminated=terminated,
+            truncated=truncated, ended=terminated | truncated,
+        )  # fmt: skip
+
+    def _begun(self, before: Play, after: Play, fresh: Tensor) -> Play:
+        """Worlds that are ``fresh`` [W] at the start of their next episode, the others as they are ``after``."""
+        number = (before.episode + 1) % len(self.bank)
+        start = self._at_start(number, self.tables.starts[number])
+        kept = [choose(fresh, a, b) for a, b in zip(start.tensors(), after.tensors(), strict=True)]
+        return packed(start, kept)
+
+    def _at_start(self, episode: Tensor, starts: Tensor) -> Play:
+        fresh = Play.before_the_first(episode, self.bank.objects, self.dtype)
+        objects = self.tables.spots[episode, : self.bank.objects]
+        (rx, rz, rh), (hx, hz, hh) = starts[:, 0].unbind(-1), starts[:, 1].unbind(-1)
+        robot = fresh.robot._replace(xz=torch.stack([rx, rz], -1), heading=rh)
+        human = fresh.human._replace(xz=torch.stack([hx, hz], -1), heading=hh)
+        order = self.orders[episode]
+        return fresh._replace(
+            robot=robot, human=human, objects=objects, before=starts, ended=torch.zeros_like(fresh.ended),
+            robot_does=fresh.robot_does._replace(order=order), human_does=fresh.human_does._replace(order=order),
+            track=torch.stack([robot.xz, human.xz], 1)[:, None].expand(-1, TRACK, -1, -1),
+        )  # fmt: skip
+
+    # --- what holds now -----------------------------------------------------------------------------------------------
+    def at_goal(self, hands: Hands, places: Places) -> Tensor:
+        """Which objects are at their goals and in nobody's hand, bool [W, K]."""
+        goals = self.tables.spots[places.episode, self.bank.objects :]
+        gap = hands.objects - goals
+        return (hands.held_by == NOBODY) & (gap.square().sum(-1).sqrt() < self.spec.at_goal_m)
+
+    def close(self, xz: Tensor, heading: Tensor, other: Tensor) -> Tensor:
+        """Whether others [W, 2] are in the ellipse around agents in which skills may be interrupted, bool [W]."""
+        gap, c, s = other - xz, heading.cos(), heading.sin()
+        ahead, aside = c * gap[:, 0] - s * gap[:, 1], s * gap[:, 0] + c * gap[:, 1]
+        return (ahead / self._near[0]) ** 2 + (aside / self._near[1]) ** 2 < 1
+
+    def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
+        """Whether the discs of robot and person overlap, bool [W]."""
+        ahead = heading_direction(robot.heading)
+        discs = torch.stack([torch.add(robot.xz, ahead, alpha=offset) for offset in self._base.disc_offsets_m])
+        gap = discs - human.xz
+        reach = self._base.disc_radius_m + self.oracle.person_radius_m
+        return (torch.hypot(gap[..., 0], gap[..., 1]) < reach).any(0)
+
+    @staticmethod
+    def _poses(robot: RobotTensors, human: HumanTensors) -> Tensor:
+        """``(x, z, heading)`` of both, [W, 2, 3]."""
+        return torch.stack([torch.cat([own.xz, own.heading[:, None]], 1) for own in (robot, human)], 1)
+
+
+def packed(like: Play, tensors: list[Tensor]) -> Play:
+    """A state of these tensors, in the order of `Play.tensors`."""
+    parts, left = [], list(tensors)
+    for part in like:
+        count = len(part) if isinstance(part, tuple) else 1
+        taken, left = left[:count], left[count:]
+        parts.append(type(part)(*taken) if isinstance(part, tuple) else taken[0])
+    return Play(*parts)

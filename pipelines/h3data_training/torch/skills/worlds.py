@@ -1,0 +1,342 @@
+"""The skills nav, pick and place in W worlds on a device: a robot alone, its lower layer step for step as
+`sim_kinematic.agents.robots.skills` has it, and what a step is worth (paper appendix, low-level skill training).
+
+State, actions and results stay where they are and nothing waits for the device. As on the CPU: base, joints, grip, which object
+is held, where it is and how it is turned. Not as there: paths are looked up (`h3data_training.torch.geodesic`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data.bodies import Robot, load_robot
+from h3data.errors import InputError
+from h3data.geometry import Array, quat_to_matrix
+from h3data_training.torch import seen
+from h3data_training.torch.geodesic import Lattices, Way, shortest_way
+from h3data_training.torch.skills.arm import Arm, Hand, placed, seen_by, turned
+from h3data_training.torch.skills.bank import SkillBank
+from h3data_training.torch.skills.driving import Drive
+from h3data_training.torch.state import RobotTensors
+from h3data_training.torch.step import Grids, heading_direction
+from sim_kinematic.agents.robots.hand_reach import hand_target, reach_posture
+from sim_kinematic.avoidance.robot_base import base_of, carrying_base_of
+from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SkillSpec
+from sim_kinematic.sensing.sensor import FAR_M
+from sim_kinematic.tasks.rearrange.skill_starts import Skill
+
+NOTHING = -1
+"""Held by an empty hand."""
+
+
+class SkillPlay(NamedTuple):
+    """Where W worlds are in their episodes."""
+
+    robot: RobotTensors
+    joints: Tensor
+    """Of the arm, [W, n]."""
+    objects: Tensor
+    """[W, K, 3] [m]."""
+    turned: Tensor
+    """Axes of the objects as columns, [W, K, 3, 3]."""
+    grip: Tensor
+    """Those of the object in the hand, in the frame of the hand, [W, 3, 3]."""
+    held: Tensor
+    """Number of the object in the hand, int64 [W]."""
+    wide: Tensor
+    """The base keeps clear by what the hand carries too, bool [W]."""
+    episode: Tensor
+    """Number in the bank, int64 [W]."""
+    steps: Tensor
+    ended: Tensor
+    """The episode is over: the next step begins another, bool [W]."""
+    way: Tensor
+    """Length of the path to the stand [W] [m],"""
+    towards: Tensor
+    """and the direction (x, z) in which it begins, of any length, [W, 2]."""
+    apart: Tensor
+    """From the hand to the target [W] [m],"""
+    folded: Tensor
+    """and to where it is at rest."""
+    paid: Tensor
+    """The object has been at its goal, bool [W]."""
+    before_xz: Tensor
+    before_heading: Tensor
+    reward: Tensor
+    """Of the last step, [W]."""
+    success: Tensor
+    """The skill has done what it should in the last step, bool [W]."""
+    terminated: Tensor
+    """That, or it cannot any more, bool [W]."""
+    truncated: Tensor
+    """It had all its steps, bool [W]."""
+
+    def tensors(self) -> Iterator[Tensor]:
+        """All of it, in a fixed order."""
+        for part in self:
+            yield from (part if isinstance(part, tuple) else (part,))
+
+
+def _reaching(robot: Robot, bank: SkillBank) -> Array:
+    """Joints of a robot's arm that reach for each target of a bank from its stand, [N, n]."""
+    columns, floors = list(robot.require_arm()), np.array([floor.floor_y for floor in bank.floors])
+    distances = np.hypot(*(bank.point[:, [0, 2]] - bank.stand).T).round(2)
+    heights = (bank.point[:, 1] - floors[bank.place]).round(2)
+    spots, which = np.unique(np.stack([distances, heights], 1), axis=0, return_inverse=True)
+    targets = np.stack([hand_target(robot, distance, height) for distance, height in spots.tolist()])
+    return reach_posture(robot, targets).joint_pos[:, columns][which.ravel()]
+
+
+class SkillTensors:
+    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+
+    def __init__(
+        self, skill: Skill, bank: SkillBank, *, device: torch.device | str, dtype: torch.dtype, robot: str = "quad_arm",
+        base: BaseSpec | None = None, rules: SkillSpec | None = None, arm: ArmSpec | None = None,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            skill: Which of the three.
+            bank: Its episodes.
+            device: Where all is.
+            dtype: Of the state.
+            robot: Name of a built-in robot.
+            base: A task's rules for bases (default: `sim_kinematic.motion.spec.HOME_BASE`).
+            rules: Of the skills.
+            arm: Of the arm.
+
+        Raises:
+            InputError: the robot has no arm, or its base slides as no device does.
+        """
+        self.skill, self.bank = skill, bank
+        self.device, self.dtype = torch.device(device), dtype
+        self.rules, self.arm_rules = rules or SkillSpec(), arm or ArmSpec()
+        body = load_robot(robot)
+        self.arm = Arm(body, self.device, dtype)
+        own = base_of(body, base or HOME_BASE)
+        if own.slide != "strict":
+            raise InputError(f"On a device robots slide strictly only, not as {own.slide!r}.")
+        grids = Grids.of(bank.floors, self.device, dtype)
+        self.drive = Drive(grids=grids, base=own, carrying=carrying_base_of(body, own))
+        self.lattices = Lattices.of(bank.floors, self.device, dtype)
+        self.rest = self.arm.hand(self.arm.rest[None]).point[0]
+        """Where the hand is at rest in the agent root frame, [3]."""
+        self._reaching = torch.as_tensor(_reaching(body, bank), dtype=dtype, device=self.device)
+
+        def on_device(rows: Any) -> Tensor:
+            tensor = torch.as_tensor(rows, device=self.device)
+            return tensor.to(dtype) if tensor.is_floating_point() else tensor
+
+        self._starts = torch.cat([on_device(bank.xz), on_device(bank.heading[:, None])], 1)
+        self._place, self._target, self._holds = map(on_device, (bank.place, bank.target, bank.holds))
+        self._objects, self._point, self._stand = map(on_device, (bank.objects, bank.point, bank.stand))
+        self._turned, self._straight = on_device(quat_to_matrix(bank.turned)), on_device(np.eye(3))
+        self._floor_y = on_device([float(floor.floor_y) for floor in bank.floors])
+
+    @property
+    def action_width(self) -> int:
+        """Numbers of an action: base [2], for pick and place also arm [n] and grip [1]."""
+        return 2 if self.skill == "nav" else self.arm.count + 3
+
+    @property
+    def most_steps(self) -> int:
+        return self.rules.nav_steps if self.skill == "nav" else self.rules.arm_steps
+
+    def before_the_first(self, episode: Tensor) -> SkillPlay:
+        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        worlds = len(episode)
+
+        def numbers(*axes: int) -> Tensor:
+            return torch.zeros((worlds, *axes), dtype=self.dtype, device=self.device)
+
+        def flags() -> Tensor:
+            return torch.zeros(worlds, dtype=torch.bool, device=self.device)
+
+        return SkillPlay(
+            robot=RobotTensors(numbers(2), numbers(), flags()), joints=numbers(self.arm.count),
+            objects=numbers(self.bank.objects.shape[1], 3), turned=numbers(self.bank.objects.shape[1], 3, 3),
+            grip=numbers(3, 3), held=torch.full_like(episode, NOTHING), wide=flags(),
+            episode=episode.clone(), steps=torch.zeros_like(episode), ended=~flags(), way=numbers(), towards=numbers(2),
+            apart=numbers(), folded=numbers(), paid=flags(), before_xz=numbers(2), before_heading=numbers(),
+            reward=numbers(), success=flags(), terminated=flags(), truncated=flags(),
+        )  # fmt: skip
+
+    # --- a step -------------------------------------------------------------------------------------------------------
+    def step(self, play: SkillPlay, action: Tensor, *, looks: bool = True) -> SkillPlay:
+        """All worlds after ``action`` [W, n], those that had ended at the start of their next episode.
+
+        A step that does not look leaves the path to the stand as it was, and so what the robot has gained on it to the next one
+        that does: looking takes a third of the time.
+        """
+        fresh = play.ended
+        begins = fresh[:, None]
+        episode = torch.where(fresh, (play.episode + 1) % len(self.bank), play.episode)
+        place, start = self._place[episode], self._starts[episode]
+        floor_y = self._floor_y[place]
+        action = torch.nan_to_num(action, 0.0, 0.0, 0.0)
+        wide = self.drive.widened(place, play.robot, play.held != NOTHING, play.wide)
+        robot = self.drive.step(place, play.robot, action[:, :2], wide)
+        robot = RobotTensors(
+            torch.where(begins, start[:, :2], robot.xz), torch.where(fresh, start[:, 2], robot.heading),
+            robot.contact & ~fresh,
+        )  # fmt: skip
+        joints, held = play.joints, play.held
+        if self.skill != "nav":
+            joints = self.arm.moved(joints, action[:, 2:-1], self.arm_rules)
+        joints = torch.where(begins, self.arm.rest, joints)
+        objects = torch.where(begins[..., None], self._objects[episode], play.objects)
+        hand = placed(self.arm.hand(joints), robot.xz, robot.heading, floor_y)
+        if self.skill != "nav":
+            held = self._gripped(hand, objects, held, action[:, -1])
+        target = self._target[episode]
+        held = torch.where(fresh, torch.where(self._holds[episode], target, NOTHING), held)
+        carried = torch.arange(objects.shape[1], device=self.device) == held[:, None]
+        objects = torch.where(carried[..., None], hand.point[:, None], objects)
+        axes, grip = self._turned_objects(play, episode, hand, held, carried)
+        way = Way(play.way, play.towards)
+        if looks:
+            way = shortest_way(self.drive.grids.at(place), self.lattices.at(place), robot.xz, self._stand[episode])
+        moved = play._replace(
+            robot=robot, joints=joints, objects=objects, turned=axes, grip=grip, held=held, wide=wide & ~fresh,
+            episode=episode, steps=torch.where(fresh, 0, play.steps + 1), way=way.length, towards=way.towards,
+            apart=(hand.point - self._point[episode]).norm(dim=-1), folded=self._from_rest(hand, robot, floor_y),
+            before_xz=torch.where(begins, robot.xz, play.robot.xz),
+            before_heading=torch.where(fresh, robot.heading, play.robot.heading),
+        )  # fmt: skip
+        return self._judged(play, moved)
+
+    def _gripped(self, hand: Hand, objects: Tensor, held: Tensor, action: Tensor) -> Tensor:
+        """What hands hold after a step, [W]: `sim_kinematic.agents.manipulation.grip_objects`."""
+        distance, nearest = (objects - hand.point[:, None]).norm(dim=-1).min(1)
+        takes = (held == NOTHING) & (action > 0) & (distance < self.arm_rules.grasp_m)
+        return torch.where(takes, nearest, torch.where(action < 0, NOTHING, held))
+
+    def _turned_objects(
+        self, play: SkillPlay, episode: Tensor, hand: Hand, held: Tensor, carried: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Axes of the objects after a step, [W, K, 3, 3], and of the held one in its hand, [W, 3, 3]. One that is taken stays
+        turned as it was; one that an episode begins with is turned as the hand is."""
+        fresh = play.ended[:, None, None]
+        axes = torch.where(fresh[..., None], self._turned[episode], play.turned)
+        own = axes[torch.arange(len(held), device=self.device), held.clamp_min(0)]
+        taken = ((held != play.held) & (held != NOTHING))[:, None, None]
+        grip = torch.where(taken, turned(hand.axes.mT, own), play.grip)
+        grip = torch.where(fresh, self._straight, grip)
+        return torch.where(carried[..., None, None], turned(hand.axes, grip)[:, None], axes), grip
+
+    def _from_rest(self, hand: Hand, robot: RobotTensors, floor_y: Tensor) -> Tensor:
+        return (hand.point - self._resting(robot, floor_y)).norm(dim=-1)
+
+    def _resting(self, robot: RobotTensors, floor_y: Tensor) -> Tensor:
+        """Where hands would be at rest, in the world [W, 3]."""
+        rest = Hand(self.rest.expand(len(floor_y), 3), self.rest.new_zeros(len(floor_y), 3, 3))
+        return placed(rest, robot.xz, robot.heading, floor_y).point
+
+    def _judged(self, before: SkillPlay, now: SkillPlay) -> SkillPlay:
+        """With what the step was worth."""
+        going = ~before.ended
+        judge = {"nav": self._nav, "pick": self._pick, "place": self._place_skill}[self.skill]
+        reward, success, lost, paid = judge(before, now)
+        success, lost = going & success, going & lost
+        terminated = success | lost
+        truncated = going & ~terminated & (now.steps >= self.most_steps)
+        return now._replace(
+            ended=terminated | truncated, paid=going & paid, reward=torch.where(going, reward, 0.0), success=success,
+            terminated=terminated, truncated=truncated,
+        )  # fmt: skip
+
+    def _facing(self, now: SkillPlay) -> tuple[Tensor, Tensor]:
+        """Straight distance from the base to the target on the floor plane [W] [m], and the cosine to it."""
+        gap = self._point[now.episode][:, 0:3:2] - now.robot.xz
+        straight = torch.hypot(gap[:, 0], gap[:, 1])
+        return straight, (gap * heading_direction(now.robot.heading)).sum(-1) / straight.clamp_min(1e-9)
+
+    def _nav(self, before: SkillPlay, now: SkillPlay) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        rules = self.rules
+        straight, cosine = self._facing(now)
+        success = (straight < rules.near_m) & (now.way < rules.near_m) & (cosine > rules.facing_dot)
+        reward = before.way.clamp_max(FAR_M) - now.way.clamp_max(FAR_M) + rules.nav_success * success
+        reward = reward + torch.where(now.way <= rules.facing_within_m, rules.facing * (cosine - 1.0), 0.0)
+        reward = reward - rules.contact * now.robot.contact - 2 * rules.slack
+        return reward, success, torch.zeros_like(success), torch.zeros_like(success)
+
+    def _nearer(self, before: SkillPlay, now: SkillPlay) -> Tensor:
+        """By how much the hand has come nearer to the target, along the path and from its end [W] [m]."""
+        paths = before.way.clamp_max(FAR_M) - now.way.clamp_max(FAR_M)
+        return paths + before.apart - now.apart
+
+    def _pick(self, before: SkillPlay, now: SkillPlay) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        rules, target = self.rules, self._target[now.episode]
+        holds = now.held == target
+        success = holds & (now.folded < rules.rest_m)
+        lost = ((now.held != NOTHING) & ~holds) | ((before.held == target) & ~holds)
+        moved = torch.where(before.held == target, before.folded - now.folded, self._nearer(before, now))
+        reward = moved + rules.pick_success * success - rules.lost * lost - rules.slack
+        return reward, success, lost, torch.zeros_like(success)
+
+    def _place_skill(self, before: SkillPlay, now: SkillPlay) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        rules, target = self.rules, self._target[now.episode]
+        worlds = torch.arange(len(target), device=self.device)
+        gap = (now.objects[worlds, target] - self._point[now.episode]).norm(dim=-1)
+        is_placed = (now.held == NOTHING) & (gap < rules.place_m)
+        lost = (now.held != target) & ~is_placed
+        success = is_placed & (now.folded < rules.rest_m)
+        moved = torch.where(is_placed, before.folded - now.folded, self._nearer(before, now))
+        reward = moved + rules.place_success * success + rules.placed * (is_placed & ~before.paid) - rules.slack
+        return reward, success, lost, before.paid | is_placed
+
+    # --- for those who look on ----------------------------------------------------------------------------------------
+    def points(self, play: SkillPlay) -> Tensor:
+        """Where targets lie or are to go, [W, 3] [m]."""
+        return self._point[play.episode]
+
+    def targets(self, play: SkillPlay) -> Tensor:
+        """Numbers of the objects, [W]."""
+        return self._target[play.episode]
+
+    def floors(self, play: SkillPlay) -> Tensor:
+        """Heights of the floors, [W] [m]."""
+        return self._floor_y[self._place[play.episode]]
+
+    def reaching(self, play: SkillPlay) -> Tensor:
+        """Joints of the arm that reach for the targets from their stands, [W, n]."""
+        return self._reaching[play.episode]
+
+    def reach(self, play: SkillPlay) -> Tensor:
+        """How far the targets are from their stands, on the floor plane [W] [m]."""
+        return (self._point[play.episode][:, 0:3:2] - self._stand[play.episode]).norm(dim=-1)
+
+    def off(self, play: SkillPlay, posture: Tensor) -> Tensor:
+        """How far joints are from a posture [n] or [W, n], in parts of the way between rest and reaching, [W]."""
+        whole = (self.reaching(play) - self.arm.rest).abs().sum(-1).clamp_min(0.1)
+        return (play.joints - posture).abs().sum(-1) / whole
+
+    # --- what the robot is shown --------------------------------------------------------------------------------------
+    def observations(self, names: Sequence[str], play: SkillPlay) -> dict[str, Tensor]:
+        """Those that need no picture, as `sim_kinematic.policies.skills.observations` shows them, float32 [W, ...].
+
+        Raises:
+            InputError: there is no such observation.
+        """
+        robot, place, point = play.robot, self._place[play.episode], self._point[play.episode]
+        floor_y = self._floor_y[place]
+        hand = placed(self.arm.hand(play.joints), robot.xz, robot.heading, floor_y)
+        known = {
+            "way": lambda: seen.way(robot, play.way, play.towards),
+            "target_gps_compass": lambda: seen.polar(seen.in_base_frame(robot.xz, robot.heading, point[:, 0:3:2])),
+            "target_sensor": lambda: seen_by(hand, point),
+            "resting_sensor": lambda: seen_by(hand, self._resting(robot, floor_y)),
+            "arm_joints": lambda: play.joints,
+            "is_holding": lambda: (play.held != NOTHING)[:, None],
+            "range_scan": lambda: seen.range_scan(self.drive.grids.at(place), robot),
+            "egomotion": lambda: seen.egomotion(play.before_xz, play.before_heading, robot),
+        }
+        strangers = [name for name in names if name not in known]
+        if strangers:
+            raise InputError(f"On a device there is no observation {strangers[0]!r} of skills.")
+        return {name: known[name]().float() for name in names}

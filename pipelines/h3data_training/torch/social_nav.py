@@ -1,0 +1,257 @@
+"""Social navigation in W worlds on a device: `sim_kinematic.tasks.social_nav` as tensor operations.
+
+State, actions and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new
+episodes is one CUDA graph. The same episodes with the same actions are those of the CPU, but for what a GPU cannot
+search for: the geodesic distance and where it leads are looked up (`h3data_training.torch.geodesic`, lengths mostly within
+0.1 %), contact is right to `h3data_training.torch.contact.TOLERANCE_M`; and arms always swing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError
+from h3data_training.torch import seen
+from h3data_training.torch.contact import TouchTest
+from h3data_training.torch.episodes import EpisodeBank
+from h3data_training.torch.geodesic import Lattices, shortest_way
+from h3data_training.torch.state import HumanTensors, RobotTensors
+from h3data_training.torch.step import (
+    Grids,
+    drive_robots,
+    heading_direction,
+    move_humans,
+    refuse_stairs,
+    walk_humans,
+    wrap_angle,
+)
+from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
+from sim_kinematic.tasks.rules.rewards import PaperReward
+
+
+class Play(NamedTuple):
+    """Where W worlds are in their episodes."""
+
+    robot: RobotTensors
+    human: HumanTensors
+    episode: Tensor
+    """Number in the bank, int64 [W]."""
+    leg: Tensor
+    """Number of the way point that the person walks to, int64 [W]."""
+    steps: Tensor
+    """Steps of the episode so far, int64 [W]."""
+    ended: Tensor
+    """The episode is over: the next step begins another, bool [W]."""
+    found: Tensor
+    """The robot has found the person in this episode, bool [W]."""
+    followed: Tensor
+    """Steps in which it followed the person, int64 [W]."""
+    geodesic: Tensor
+    """Shortest way between the two [W] [m], inf where there is none."""
+    towards: Tensor
+    """In which direction (x, z) it begins at the robot, of any length, [W, 2]."""
+    collides: Tensor
+    """They touch, bool [W]."""
+    before_xz: Tensor
+    """Of the robot, before the last step, [W, 2]; ``before_heading`` [W]."""
+    before_heading: Tensor
+    human_before_xz: Tensor
+    """Of the person, [W, 2]."""
+    reward: Tensor
+    """Of the last step, [W]."""
+    terminated: Tensor
+    """The rules ended the episode in the last step, bool [W]."""
+    truncated: Tensor
+    """It had all its steps, bool [W]."""
+
+    @classmethod
+    def before_the_first(cls, episode: Tensor, dtype: torch.dtype) -> Play:
+        """Worlds whose first step begins the episodes after ``episode`` [W]."""
+        worlds, device = len(episode), episode.device
+
+        def numbers(*axes: int) -> Tensor:
+            return torch.zeros((worlds, *axes), dtype=dtype, device=device)
+
+        def flags() -> Tensor:
+            return torch.zeros(worlds, dtype=torch.bool, device=device)
+
+        return cls(
+            robot=RobotTensors(numbers(2), numbers(), flags()),
+            human=HumanTensors(numbers(2), numbers(), numbers(), numbers(), numbers()),
+            episode=episode.clone(), leg=torch.zeros_like(episode), steps=torch.zeros_like(episode), ended=~flags(),
+            found=flags(), followed=torch.zeros_like(episode), geodesic=numbers(), towards=numbers(2),
+            collides=flags(), before_xz=numbers(2), before_heading=numbers(),
+            human_before_xz=numbers(2), reward=numbers(), terminated=flags(), truncated=flags(),
+        )  # fmt: skip
+
+    def tensors(self) -> Iterator[Tensor]:
+        """All of it, in a fixed order."""
+        for part in self:
+            yield from (part if isinstance(part, tuple) else (part,))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Drawn:
+    """The bank on the device."""
+
+    place: Tensor
+    starts: Tensor
+    """Robot's and person's x, z, heading, [N, 6]."""
+    way_points: Tensor
+    """[N * P, 2]."""
+    headings: Tensor | None
+    """[N * P] where way points are the person's places after each step."""
+    legs: int
+    floor_y: Tensor
+
+
+class SocialNavTensors:
+    """W worlds, each in an episode of a bank; when it is over, the next step begins the one after it."""
+
+    def __init__(
+        self,
+        bank: EpisodeBank,
+        *,
+        device: torch.device | str,
+        dtype: torch.dtype | None = None,
+        spec: SocialNavSpec,
+        end_on_success: bool = False,
+        robot: str = "quad_arm",
+        human: str = "female_0",
+    ) -> None:
+        """``dtype`` of the state: float64 on the CPU, else float32. The reward is the paper's."""
+        self.device = torch.device(device)
+        self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
+        self.spec, self.bank, self.paper = spec, bank, PaperReward()
+        if spec.robot.slide != "strict":
+            raise InputError(
+                f"On a device robots slide strictly only, not as {spec.robot.slide!r}. Hint: leave out device."
+            )
+        self._end_on_success = end_on_success
+        self._grids = Grids.of(bank.floors, self.device, self.dtype)
+        refuse_stairs(bank.floors)
+        self._lattices = Lattices.of(bank.floors, self.device, self.dtype)
+        body = load_robot(robot)
+        self.base = base_of(body, spec.robot)
+        self.touch = TouchTest.of(body, load_humanoid(human), spec.human, self.device, self.dtype)
+
+        def on_device(*columns: Any) -> Tensor:
+            parts = [torch.as_tensor(c, dtype=self.dtype, device=self.device) for c in columns]
+            return torch.cat([p if p.ndim == 2 else p[:, None] for p in parts], 1)
+
+        self._drawn = _Drawn(
+            place=torch.as_tensor(bank.place, device=self.device),
+            starts=on_device(bank.robot_xz, bank.robot_heading, bank.human_xz, bank.human_heading),
+            way_points=on_device(bank.way_points.reshape(-1, 2)),
+            headings=None if bank.headings is None else on_device(bank.headings.reshape(-1, 1))[:, 0],
+            legs=bank.way_points.shape[1],
+            floor_y=on_device([[floor.floor_y] for floor in bank.floors])[:, 0],
+        )
+
+    @property
+    def action_width(self) -> int:
+        """Numbers of an action: 2, or 3 where the robot can move sideways."""
+        return 3 if self.spec.robot.max_lateral_mps else 2
+
+    def place_of(self, play: Play) -> Tensor:
+        """Number of the scene of the bank that each world is in, [W]."""
+        return self._drawn.place[play.episode]
+
+    # --- a step -------------------------------------------------------------------------------------------------------
+    def step(self, play: Play, action: Tensor) -> Play:
+        """All worlds after ``action`` [W, 2 or 3], those that had ended at the start of their next episode."""
+        spec, drawn, fresh = self.spec, self._drawn, play.ended
+        episode = torch.where(fresh, (play.episode + 1) % len(self.bank), play.episode)
+        place = drawn.place[episode]
+        grids, lattices = self._grids.at(place), self._lattices.at(place)
+        row = episode * drawn.legs
+        if drawn.headings is not None:  # each step has a place of its own
+            leg, now = play.leg, row + torch.where(fresh, 0, play.steps).clamp_max(drawn.legs - 1)
+            human = move_humans(play.human, drawn.way_points[now], drawn.headings[now], spec.human)
+        else:
+            gap = drawn.way_points[row + play.leg] - play.human.xz
+            arrived = torch.hypot(gap[:, 0], gap[:, 1]) <= spec.human.arrive_m
+            leg = torch.where(fresh, 0, (play.leg + arrived).clamp_max(drawn.legs - 1))
+            human = walk_humans(play.human, drawn.way_points[row + leg], spec.human)
+        robot = drive_robots(grids, play.robot, action, self.base)
+        start = drawn.starts[episode]
+        zero, begins = start.new_zeros(()), fresh[:, None]
+        robot = RobotTensors(
+            torch.where(begins, start[:, :2], robot.xz), torch.where(fresh, start[:, 2], robot.heading),
+            robot.contact & ~fresh,
+        )  # fmt: skip
+        human = HumanTensors(
+            torch.where(begins, start[:, 3:5], human.xz), torch.where(fresh, start[:, 5], human.heading),
+            *(torch.where(fresh, zero, t) for t in human[2:]),
+        )  # fmt: skip
+        steps = torch.where(fresh, 0, play.steps + 1)
+        way = shortest_way(grids, lattices, robot.xz, human.xz)
+        return self._judged(
+            play,
+            play._replace(
+                robot=robot, human=human, episode=episode, leg=leg, steps=steps,
+                geodesic=way.length, towards=way.towards, collides=self.touch.touching(robot, human),
+                before_xz=torch.where(begins, robot.xz, play.robot.xz),
+                before_heading=torch.where(fresh, robot.heading, play.robot.heading),
+                human_before_xz=torch.where(begins, human.xz, play.human.xz),
+            ),
+        )  # fmt: skip
+
+    def _judged(self, before: Play, now: Play) -> Play:
+        """With what the step was worth: the paper's reward (`sim_kinematic.tasks.rules.rewards.SocialNavReward`)."""
+        rules, worth, going = self.spec, self.paper, ~before.ended
+        gap = now.human.xz - now.robot.xz
+        straight = torch.hypot(gap[:, 0], gap[:, 1])
+        ahead = heading_direction(now.robot.heading)
+        faces = (gap * ahead).sum(-1) / straight.clamp_min(1e-12)
+        distance = torch.where(now.geodesic.isfinite(), now.geodesic, straight)
+        was = self._last_distance(before)
+        looks = faces > rules.facing_dot
+        kept = (distance > rules.near_m) & (distance <= rules.far_m)
+        moved = torch.where(distance <= rules.near_m, distance - was, was - distance)
+        reward = torch.where(kept, worth.kept, moved) + worth.slack
+        reward = reward + worth.facing * torch.where(distance <= worth.facing_within_m, faces, 0.0)
+        followed = torch.where(before.ended, 0, before.followed + (kept & looks))
+        success = followed >= worth.follow_steps
+        reward = reward + worth.success * (success & (before.followed < worth.follow_steps))
+        here = (now.geodesic >= rules.near_m) & (now.geodesic <= rules.far_m) & looks
+        ends = now.collides if rules.end_on_collision else torch.zeros_like(now.collides)
+        terminated = going & ((ends | success) if self._end_on_success else ends)
+        truncated = going & (now.steps >= rules.max_steps)
+        return now._replace(
+            ended=terminated | truncated, found=going & (before.found | here), followed=followed,
+            reward=torch.where(going, reward, 0.0), terminated=terminated, truncated=truncated,
+        )  # fmt: skip
+
+    @staticmethod
+    def _last_distance(before: Play) -> Tensor:
+        gap = before.human.xz - before.robot.xz
+        return torch.where(before.geodesic.isfinite(), before.geodesic, torch.hypot(gap[:, 0], gap[:, 1]))
+
+    # --- what the robot is shown --------------------------------------------------------------------------------------
+    def observation(self, name: str, play: Play) -> Tensor:
+        """One that needs no picture, as in `sim_kinematic.sensing.table`, float32 [W, ...]."""
+        robot, human = play.robot, play.human
+        if name == "humanoid_gps":
+            shown = seen.polar(seen.in_base_frame(robot.xz, robot.heading, human.xz))
+        elif name == "humanoid_velocity":
+            shown = seen.in_base_frame(play.human_before_xz, robot.heading, human.xz) / STEP_S
+        elif name == "way":
+            shown = seen.way(robot, play.geodesic, play.towards)
+        elif name == "range_scan":
+            shown = seen.range_scan(self._grids.at(self._drawn.place[play.episode]), robot)
+        elif name == "egomotion":
+            shown = seen.egomotion(play.before_xz, play.before_heading, robot)
+        elif name == "localization":
+            floor_y = self._drawn.floor_y[self._drawn.place[play.episode]]
+            shown = torch.stack([robot.xz[:, 0], floor_y, robot.xz[:, 1], wrap_angle(robot.heading)], -1)
+        else:
+            raise InputError(f"On a device there is no observation {name!r}.")
+        return shown.float()
