@@ -19,6 +19,10 @@ import importlib
 import sys
 from typing import TYPE_CHECKING, Any
 
+from h3data.moved import announce_moves
+
+announce_moves()
+
 if TYPE_CHECKING:
     from h3data.api import make, measure, open, render_frame
     from h3data.errors import H3DataError

@@ -48,6 +48,24 @@ AGAINST_THE_LAYERS = {
     ],
     "h3data.kernels.digests": ["sim_kinematic"],  # whose kernels are ours
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
+    "h3data.moved": [  # nothing is imported: old names and new ones for error messages
+        "h3data_play",
+        "h3data_play.commands.playing",
+        "h3data_play.commands.serving",
+        "h3data_pipelines",
+        "h3data_pipelines.commands",
+        "h3data_studies",
+        "h3data_studies.bots",
+        "h3data_studies.commands",
+        "h3data_training.commands",
+        "h3data_training.envs.rearrange_torch_env",
+        "h3data_training.envs.social_nav_torch_env",
+        "h3data_training.envs.torch_env",
+        "h3data_training.torch",
+        "h3data_viewers",
+        "sim_kinematic",
+        "sim_kinematic.envs",
+    ],
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.recording.records": ["h3data_viewers.notebook"],
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format

@@ -1,0 +1,58 @@
+"""Where modules of earlier versions are now: importing an old name fails and says the new one. There are no aliases."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+MOVED = {
+    "h3data_pipelines.command": "h3data.commands.command",
+    "h3data_pipelines.commands.playing": "h3data_play.commands.playing",
+    "h3data_pipelines.commands.serving": "h3data_play.commands.serving",
+    "h3data_pipelines.learning": "h3data_training.commands",
+    "h3data_pipelines.options": "h3data.commands.options",
+    "h3data_pipelines.studies": "h3data_studies.commands",
+    "h3data_viewers.hitl": "h3data_play",
+    "h3data_viewers.hitl.bots": "h3data_studies.bots",
+    "h3data_viewers.hitl.study": "h3data_studies",
+    "h3data_viewers.rigs": "h3data.replay.rigs",
+    "sim_kinematic.envs.rearrange_torch_env": "h3data_training.envs.rearrange_torch_env",
+    "sim_kinematic.envs.social_nav_torch_env": "h3data_training.envs.social_nav_torch_env",
+    "sim_kinematic.envs.torch_env": "h3data_training.envs.torch_env",
+    "sim_kinematic.torch": "h3data_training.torch",
+}
+"""Old to new name; modules within a package that has moved as a whole are found by the package's name."""
+
+
+def new_name(module: str) -> str | None:
+    """The name that a module of an earlier version has now; None if it has not moved."""
+    old = module
+    while old and old not in MOVED:
+        old = old.rpartition(".")[0]
+    return MOVED[old] + module[len(old) :] if old else None
+
+
+class MovedFinder(MetaPathFinder):
+    """Asked last, for modules that nothing else has found."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Raises a ModuleNotFoundError with the new name of a module that has moved; None for all others."""
+        now = new_name(fullname)
+        if now is not None:
+            # Python asks for packages before what is in them, so that only the outermost old name is ever seen here
+            parts = [f"{old} is {new}" for old, new in MOVED.items() if old.startswith(f"{fullname}.")]
+            raise ModuleNotFoundError(
+                f"{', and '.join([f'The module {fullname} is {now} now', *parts])}.", name=fullname
+            )
+        return None
+
+
+def announce_moves() -> None:
+    """Makes imports of old names say the new ones, in this process."""
+    if not any(isinstance(finder, MovedFinder) for finder in sys.meta_path):
+        sys.meta_path.append(MovedFinder())
