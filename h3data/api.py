@@ -57,6 +57,8 @@ def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
         InputError: there is nothing of that name, or it is not of that ``kind``.
         FormatError: a file is something else; the message says what it is and what to do with it.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"Expected a path, URI or name, got {path!r:.60}.")
     opened = _open(os.fspath(path))
     if kind is not None and not isinstance(opened, kind):
         raise InputError(f"Expected a {kind.__name__}, this is a {type(opened).__name__}: {path}")
@@ -128,6 +130,8 @@ def measure(recordings: Any, profile: str | None = None) -> EpisodeMetrics | Met
         return metrics.measure_files([recordings.root], profile)
     if isinstance(recordings, str | os.PathLike):
         return metrics.measure_files([recordings], profile)
+    if not isinstance(recordings, Iterable):
+        raise InputError(f"Expected recordings, a dataset or a path, got {recordings!r:.60}.")
     return metrics.measure_many(recordings, profile)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -71,6 +72,8 @@ class PosedRecording:
         light: LightMode = "flat",
         stand_ins: bool = False,
     ) -> None:
+        if not isinstance(recording, Recording):
+            raise InputError(f"Expected a Recording, got {recording!r:.60}. Hint: h3data.open(PATH) reads recordings.")
         if people not in get_args(PeopleStyle):
             raise InputError(
                 f"Unknown style of people {people!r}. Expected one of: {', '.join(get_args(PeopleStyle))}."
@@ -369,9 +372,13 @@ class PosedRecording:
         Raises:
             InputError: there is no such step.
         """
-        if not -len(self) <= step < len(self):
-            raise self._no_such_step(step)
-        return step % len(self)
+        try:
+            number = operator.index(step)
+        except TypeError:
+            raise InputError(f"Expected a step as a whole number, got {step!r}.") from None
+        if not -len(self) <= number < len(self):
+            raise self._no_such_step(number)
+        return number % len(self)
 
     def _no_such_step(self, step: int) -> InputError:
         return InputError(f"There is no step {step}: the recording has {len(self)} steps, 0 to {len(self) - 1}.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.errors import InputError
+from h3data.errors import InputError, suggest
 from h3data.geometry import Array
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
@@ -112,4 +112,9 @@ def with_options(spec: Any, **options: Any) -> Any:
         spec = replace(spec, human=WALKERS[walk])
     if speed is not None:
         spec = replace(spec, human=replace(spec.human, speed_mps=speed))
+    known = [field.name for field in fields(spec) if field.init]
+    for name in options:
+        if name not in known:
+            valid = [*known, "human_speed", "human_walk"]
+            raise InputError(f"Unknown rule {name!r}.{suggest(name, valid, lead='Expected some of')}")
     return replace(spec, **{name: value for name, value in options.items() if value is not None})

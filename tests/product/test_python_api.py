@@ -104,6 +104,26 @@ def test_values_of_other_types_are_refused(options: dict[str, Any], said: str, t
         h3data.generate("wander", tmp_path, **options)
 
 
+def test_things_of_other_types_are_refused_in_one_line(generated: Any) -> None:
+    dataset: Any = generated.dataset
+    replay: Any = h3data.Replay(dataset[0])
+    wrong: Any = 3
+    for call, said in (
+        (lambda: h3data.open(wrong), "Expected a path, URI or name, got 3"),
+        (lambda: h3data.measure(wrong), "Expected recordings, a dataset or a path, got 3"),
+        (lambda: dataset["first"], "Expected the number of an episode or a slice, got 'first'"),
+        (lambda: replay.at("a"), "Expected a step as a whole number, got 'a'"),
+        (lambda: h3data.render_frame(replay, step=wrong / 2), "Expected a step as a whole number, got 1.5"),
+        (lambda: h3data.render_frame("ds#0"), "Expected a Recording, got 'ds#0'"),  # type: ignore[arg-type]
+        (
+            lambda: h3data.session("wander", max_step=3),
+            "Unknown rule 'max_step'. Did you mean 'max_steps'?",
+        ),
+    ):
+        with pytest.raises(InputError, match=re.escape(said)):
+            call()
+
+
 def test_an_unknown_column_says_what_was_meant(generated: Any) -> None:
     recording = generated.dataset[0]
     for look_up in (lambda: recording.columns["agent_0.pose"], lambda: recording.agent_column(0, "pose")):

@@ -307,6 +307,17 @@ def test_rearrangement_by_population_and_partner(tmp_path: Path) -> None:
     assert [c.value for c in table.sections[0].rows[0].cells[:2]] == [100.0, 200.0]
     assert table.sections[0].rows[0].cells[4].value == 50.0
     assert 'class="heat"' in report.html
+    heat = next(t for t in report.tables_of_partners if t.title == "SR by partner")
+    assert [c.head for c in heat.columns] == ["a", "b", "c", "ZSC mean"]  # by population, not by the alphabet alone
+    assert heat.groups == [("Training partners", 1), ("Zero-shot partners", 2), ("", 1)]
+    assert [cell.text for cell in heat.sections[0].rows[0].cells] == [
+        "100.0",
+        "100.0",
+        "0.0",
+        "50.0",
+    ]  # as in the table above
+    assert heat.scale == ("0.0", "100.0, better")
+    assert 'aria-label="Colours from 0.0 to 100.0, better"' in report.html
     assert "Social navigation: there are no episodes of it." in report.missing
 
 
@@ -358,7 +369,7 @@ def test_policies_of_several_training_seeds_are_one_row(tmp_path: Path, capsys: 
     assert "±" not in expert.cells[0].text
     assert "standard deviation" in table.caption
     heat = next(t for t in report.tables_of_partners if t.title.startswith("SR"))
-    assert [cell.small for cell in heat.sections[0].rows[0].cells] == ["± 0.29, n = 8", ""]
+    assert [cell.small for cell in heat.sections[0].rows[0].cells] == ["± 28.9, n = 8", ""]
     assert names[1] in report.html  # each episode says of which seed it is
     # an evaluation that was told a pattern needs no option
     told = [{"metric": "SR", "policies": pattern, "partner": "a", "seeds": [{"policy": name} for name in names]}]

@@ -45,6 +45,8 @@ class Dataset(DatasetFolder):
         """Episode ``index``, see `recording`; of a slice the `Episodes`, to be read when they are asked for."""
         if isinstance(index, slice):
             return self.all()[index]
+        if not hasattr(index, "__index__"):
+            raise InputError(f"Expected the number of an episode or a slice, got {index!r:.60}.")
         if not -len(self) <= index < len(self):
             raise IndexError(f"The dataset has {len(self)} episodes, there is no {index}.")  # also ends a for loop
         return self.recording(index % len(self))

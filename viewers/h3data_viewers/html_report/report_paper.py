@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -232,10 +232,11 @@ def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
 
     A last column has the mean over all episodes with partners of the zero-shot population, if there is one.
     """
-    partners = sorted({e.partner for run in runs for e in run.episodes if e.partner})
+    kinds = {e.partner: e.population for run in runs for e in run.episodes if e.partner}
+    partners = sorted(kinds, key=lambda name: (_BY_POPULATION.index(kinds[name]), name))
     if len(partners) < 2:
         return []
-    unseen = sorted({e.partner for run in runs for e in run.episodes if e.population == "zsc"})
+    unseen = [name for name in partners if kinds[name] == "zsc"]
     columns = [*partners, ZSC] if unseen else partners
     metrics = {m.name: m for m in runs[0].table.metrics}
     tables = []
@@ -250,24 +251,72 @@ def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
         means = [cell.mean for cell in cells.values() if cell is not None and cell.count]
         if not means:
             continue
-        low, high = (0.0, max(1.0, *means)) if metrics[name].unit == "1" else (min(means), max(means))
-        digits = _digits(metrics[name])
+        metric = metrics[name]
+        low, high = (0.0, max(1.0, *means)) if metric.unit == "1" else (min(means), max(means))
+        in_percent = metric.unit == "%" or name == "SR" or name in runs[0].profile.report.percent
+        factor = 100.0 if in_percent and metric.unit != "%" else 1.0
+        shade = _Shade(low=low, high=high, factor=factor, digits=1 if in_percent else _digits(metric))
         rows = [
-            Row(name=run.name, cells=tuple(_heat_cell(cells[run.name, p], low, high, digits) for p in columns))
+            Row(name=run.name, cells=tuple(shade.cell(cells[run.name, p]) for p in columns), small=run.size)
             for run in runs
         ]
+        unit = "%" if in_percent else metric.unit
+        title = metric.title.lower() + (f" [{unit}]" if unit != "1" else "")
         tables.append(
             Table(
                 key=f"partners_{runs[0].task}_{name}",
                 title=f"{name} by partner",
-                caption=f"{name}, {metrics[name].title.lower()}: mean by policy and partner"
-                + (f"; {ZSC}: over episodes with {', '.join(unseen)}." if unseen else "."),
+                caption=f"{name}, {title}: mean by policy and partner"
+                + (f"; {ZSC}: over the episodes with all {len(unseen)} zero-shot partners." if unseen else ".")
+                + _of_seeds(runs),
                 name_head="Policy",
-                columns=tuple(Column(head=column) for column in columns),
+                columns=tuple(
+                    Column(head=column, group="" if column == ZSC else _partner_group(kinds, column))
+                    for column in columns
+                ),
                 sections=(Section(title="", rows=tuple(rows)),),
+                scale=shade.ends(metric),
             )
         )
     return tables
+
+
+_BY_POPULATION = ("train", "", "zsc")
+
+
+def _partner_group(kinds: Mapping[str, str], partner: str) -> str:
+    """What stands above partners of one population; with one population, all are partners."""
+    if len(set(kinds.values())) == 1 and not kinds[partner]:
+        return "Partner"
+    return {"train": "Training partners", "zsc": "Zero-shot partners", "": "Other partners"}[kinds[partner]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Shade:
+    """How a heat map colours means: from ``low`` (pale) to ``high`` (dark), shown times ``factor``."""
+
+    low: float
+    high: float
+    factor: float
+    digits: int
+
+    def cell(self, found: Mean | None) -> Cell:
+        if found is None or not found.count:
+            return Cell(text="–")
+        spread = f"± {number(self.factor * found.deviation, self.digits)}, " if found.seeds > 1 else ""
+        return Cell(
+            text=number(self.factor * found.mean, self.digits), value=found.mean, small=f"{spread}n = {found.count}",
+            heat=(found.mean - self.low) / ((self.high - self.low) or 1.0),
+        )  # fmt: skip
+
+    def ends(self, metric: Metric) -> tuple[str, str]:
+        """What is said at the pale and the dark end of the bar of colours."""
+        better = {"higher": ("", ", better"), "lower": (", better", ""), "neither": ("", "")}[metric.direction]
+        low, high = (
+            number(self.factor * value, self.digits) + word
+            for value, word in zip((self.low, self.high), better, strict=True)
+        )
+        return low, high
 
 
 # --- small things -----------------------------------------------------------------------------------------------------
@@ -306,13 +355,3 @@ def _measured(found: Mean, *, factor: float = 1.0, digits: int = 2, small: str =
 
 def _of_seeds(runs: Sequence[Run]) -> str:
     return " Of several training seeds: mean of their means ± standard deviation." if any(r.seeds for r in runs) else ""
-
-
-def _heat_cell(found: Mean | None, low: float, high: float, digits: int) -> Cell:
-    if found is None or not found.count:
-        return Cell(text="–")
-    spread = f"± {number(found.deviation, digits)}, " if found.seeds > 1 else ""
-    return Cell(
-        text=number(found.mean, digits), value=found.mean, small=f"{spread}n = {found.count}",
-        heat=(found.mean - low) / ((high - low) or 1.0),
-    )  # fmt: skip

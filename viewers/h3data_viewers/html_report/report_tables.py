@@ -79,6 +79,8 @@ class Table:
     columns: tuple[Column, ...]
     sections: tuple[Section, ...]
     notes: tuple[str, ...] = ()
+    scale: tuple[str, str] | None = None
+    """What the palest and the darkest colour of its cells mean; None: cells are not coloured."""
 
     @property
     def groups(self) -> list[tuple[str, int]]:
@@ -149,12 +151,18 @@ def to_html(table: Table, *, sortable: bool = True) -> str:
         for c in (Column(head=table.name_head), *table.columns)
     )
     notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes)
+    bar, width = "", ""
+    if table.scale is not None:
+        low, high = map(escape, table.scale)
+        width = f' style="--columns:{len(table.columns)}"'
+        bar = f'<p class="scale" role="img" aria-label="Colours from {low} to {high}">{low}<span></span>{high}</p>'
     css = "data" + (" sortable" if sortable else "") + (" wide" if len(table.columns) > _WIDE else "")
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(table.title)}">'
-        f'<table class="{css}" id="table-{escape(table.key)}">'
+        f'<table class="{css}" id="table-{escape(table.key)}"{width}>'
         f"<caption><span>{escape(table.caption)}</span></caption>"
         f"<thead>{group_row}<tr>{heads}</tr></thead>{rows}</table></div>"
+        + bar
         + (f'<ul class="notes">{notes}</ul>' if notes else "")
     )
 
