@@ -208,7 +208,8 @@ def _plane_frame(element: ElementTree.Element, where: str, issues: UrdfIssues) -
 
 
 def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> Path | None:
-    """Where a mesh lies: relative to the URDF, or in the package of that name (`_packages`); None with a fault or a warning.
+    """Where a mesh lies: relative to the URDF, or in the package of that name (`_packages`, or else
+    `_folders_called`); None with a fault or a warning.
 
     Backslashes, percent signs that stand for characters, and other case on disk are read as meant. A relative path climbs at
     most two folders above the URDF, and one in a package stays inside it. An absolute path of another machine is looked
@@ -231,14 +232,22 @@ def _mesh_path(filename: str, folder: Path, where: str, issues: UrdfIssues) -> P
     if fault is None and scheme in ("package", "model"):
         name, _, inner = rest.partition("/")
         found = _packages(unquote(name), above)
-        bases = found or above[:3]
+        called = [] if found else _folders_called(unquote(name), above)
+        bases = found or called or above[:3]
         if not all(
-            _inside(Path(os.path.abspath(b / t)), b if found else top) for b in bases for t in _spellings(inner)
+            _inside(Path(os.path.abspath(b / t)), b if found or called else top)
+            for b in bases
+            for t in _spellings(inner)
         ):
-            fault = "expected a path that stays in its package" if found else CLIMBS
+            fault = "expected a path that stays in its package" if found or called else CLIMBS
         else:
             file = next((f for base in bases if (f := _on_disk(base, inner)) is not None), bases[0] / inner)
-            if not found and file.is_file():
+            if called:
+                taken = (
+                    f"there is no package {name!r}, the folder of that name is taken, of another package: {called[0]}"
+                )
+                issues.warnings += [taken] if taken not in issues.warnings else []
+            elif not found and file.is_file():
                 issues.warnings.append(f"{where}: there is no package {name!r}, {file} is taken for {filename[:80]!r}")
     elif fault is None:
         drive = rest[1:3] == ":/"
@@ -318,6 +327,14 @@ def _packages(name: str, above: list[Path]) -> list[Path]:
             found += sorted(p.parent for p in base.glob("*/package.xml") if _package_name(p.parent) == name)
             found += sorted(p for p in base.glob(f"*/{glob.escape(name)}") if p.is_dir() and _package_name(p) == name)
     return [Path(os.path.abspath(p)) for p in dict.fromkeys(found)]
+
+
+def _folders_called(name: str, above: list[Path]) -> list[Path]:
+    """Folders of a name, above the URDF and beside these, nearest first, whatever their ``package.xml`` calls them."""
+    if not name or name in (".", "..") or "/" in name or "\0" in name:
+        return []
+    folders = [p for base in above for p in (base, base / name) if p.name == name and p.is_dir()]
+    return [Path(os.path.abspath(p)) for p in dict.fromkeys(folders)]
 
 
 def _package_name(folder: Path) -> str:

@@ -330,6 +330,24 @@ def test_a_package_is_the_one_of_that_name(tmp_path: Path, filename: str, place:
     assert _named_mesh(arm / "urdf", filename).is_relative_to(hand)  # missing, and never the arm's
 
 
+@pytest.mark.parametrize("place", ["ws/robots", "ws/robots/arms/arm"])
+def test_a_folder_of_the_name_is_taken_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, place: str
+) -> None:
+    """Its ``package.xml`` has another name, as in example-robot-data; a package of the name itself is taken before."""
+    robots = _package(tmp_path / "ws/robots", "robot_descriptions")
+    body = '<mesh filename="package://robots/meshes/a.obj"/>'
+    shapes = (f"<{kind}><geometry>{body}</geometry></{kind}>" for kind in ("visual", "collision"))
+    (tmp_path / place / "urdf").mkdir(parents=True, exist_ok=True)
+    read = read_urdf(
+        _write(tmp_path / place / "urdf", f'<link name="a">{"".join(shapes)}</link>'), allow_missing=True
+    ).links[0]
+    assert read.visuals[0].geometry.file == robots / "meshes/a.obj"
+    assert caplog.text.count("the folder of that name is taken") == 1
+    named = _package((tmp_path / place).parent / "clone", "robots")
+    assert _named_mesh(tmp_path / place / "urdf", "package://robots/meshes/a.obj") == named / "meshes/a.obj"
+
+
 def test_packages_are_found_where_ros_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arm, hand = _package(tmp_path / "a/b/c/d/e/f/g/h/arm"), _package(tmp_path / "opt/share/hand")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "opt"))
