@@ -4,6 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
+# Python compiles a module to bytecode when it first imports it; pip would compile 9,000 of them, half of its CPU time
+NO_BYTECODE := --no-compile
 INSTALLED := $(VENV)/.installed
 DEV := $(VENV)/.dev
 GROUP ?=
@@ -39,7 +41,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@echo "Installing h3data into $(VENV): 1.5 GB on disk, one to five minutes."
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(MAKE) --no-print-directory torch-for-cpu
-	$(PIP) -c constraints.txt -e .
+	$(PIP) $(NO_BYTECODE) -c constraints.txt -e .
 	touch $@
 
 # The torch of PyPI for Linux brings gigabytes of CUDA. pip takes a CPU build by itself where one of the same version is at hand.
@@ -50,14 +52,14 @@ torch-for-cpu:
 	@if [ "`uname -s`" != Linux ] || [ -n "$(GPU)" ] || $(IN) -c "import torch" 2>/dev/null \
 			|| $(IN) -m pip index versions torch 2>/dev/null | grep -q "$(subst torch==,,$(TORCH))+cpu"; then exit 0; fi; \
 		echo "No NVIDIA GPU here: installing the CPU build of torch (0.2 GB) instead of that with CUDA (3 GB, 7 GB on disk)."; \
-		$(IN) -m pip install --disable-pip-version-check $(TORCH) $(CPU_TORCH) || { \
+		$(IN) -m pip install --disable-pip-version-check $(NO_BYTECODE) $(TORCH) $(CPU_TORCH) || { \
 			echo "It cannot be had. In 15 s pip installs torch with CUDA, 3 GB; Ctrl-C stops it."; $(SLEEP); }
 
 dev: $(DEV)  ## .venv with everything that tests and checks need as well
 
 $(DEV): $(INSTALLED)
 	@echo "Installing what tests and checks need into $(VENV): another 1 GB, one to five minutes."
-	$(PIP) -c constraints.txt -e ".[dev]"
+	$(PIP) $(NO_BYTECODE) -c constraints.txt -e ".[dev]"
 	touch $@
 
 # kernels of navmeshes, of Habitat's sliding, of pictures for a GPU and the like, which `h3data warmup` leaves to who needs them
