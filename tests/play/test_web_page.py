@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tests.paths import ROOT
 
-WEB = ROOT / "viewers" / "h3data_viewers" / "hitl" / "web"
+WEB = ROOT / "viewers" / "h3data_play" / "web"
 DIST = WEB / "dist"
 SCRIPT_KB = 250
 

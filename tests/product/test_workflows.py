@@ -18,7 +18,7 @@ yaml = pytest.importorskip("yaml")
 
 GITHUB = ROOT / ".github"
 WORKFLOWS = sorted((GITHUB / "workflows").glob("*.yml"))
-NODE_PROJECT = ROOT / "viewers" / "h3data_viewers" / "hitl" / "web"
+NODE_PROJECT = ROOT / "viewers" / "h3data_play" / "web"
 
 
 def faults_of(*files: Path) -> list[str]:

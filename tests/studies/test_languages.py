@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-import h3data_play as package
+import h3data_play
+import h3data_studies
 from h3data.errors import InputError
 from h3data_play.apps.tutorial import HOW
 from h3data_studies.files import read_design
@@ -21,7 +22,7 @@ from tests.studies.test_checks import person_of
 from tests.studies.test_flow import DEVICE, PLACE
 from tests.studies.tiny import tiny, write_tiny
 
-HITL = Path(package.__path__[0])
+PLAY, STUDIES = Path(h3data_play.__path__[0]), Path(h3data_studies.__path__[0])
 OTHERS = [code for code in SHIPPED if code != "en"]
 SENTENCE = re.compile(r"^[A-Z].*\.$")
 
@@ -45,12 +46,12 @@ def test_a_language_of_the_package_has_every_word_with_the_same_blanks(code: str
 
 def test_the_page_asks_for_words_that_are_there_and_for_no_others() -> None:
     said: set[str] = set()
-    for path in (HITL / "web" / "src").rglob("*.ts"):
+    for path in (PLAY / "web" / "src").rglob("*.ts"):
         text = path.read_text()
         said |= set(re.findall(r"say\(\s*\"(\w+)\"", text)) | set(re.findall(r"\"((?:help|click|thumb)_\w+)\"", text))
-    said |= set(re.findall(r'data-(?:say|title|label)="(\w+)"', (HITL / "web" / "index.html").read_text()))
+    said |= set(re.findall(r'data-(?:say|title|label)="(\w+)"', (PLAY / "web" / "index.html").read_text()))
     assert said <= set(LIVE), said - set(LIVE)
-    sources = "".join(path.read_text() for path in (HITL / "web" / "src").rglob("*.ts"))
+    sources = "".join(path.read_text() for path in (PLAY / "web" / "src").rglob("*.ts"))
     named = said | {name for name in LIVE if re.search(rf"\b{name}\b", sources)}
     computed = re.compile(r"^(help|because|click|put|bring)_|^(open|close)$")
     assert [name for name in LIVE if name not in named and not computed.match(name)] == []
@@ -77,8 +78,8 @@ def test_what_the_server_says_to_players_is_there_too(code: str) -> None:
     language = shipped(code)
     assert language is not None
     told = set(REASONS.values()) | {text for how in HOW.values() for text in how.values()}
-    study = HITL / "study" / "front.py", HITL / "study" / "flow.py"
-    for path in (HITL / "drivers.py", HITL / "worker.py", *study, *sorted((HITL / "apps").glob("*.py"))):
+    study = STUDIES / "front.py", STUDIES / "flow.py"
+    for path in (PLAY / "drivers.py", PLAY / "worker.py", *study, *sorted((PLAY / "apps").glob("*.py"))):
         told |= sentences(path)
     assert len(told) > 40
     patterns = [re.compile("^" + ".+?".join(map(re.escape, text.split("{}"))) + "$") for text in language.said]
