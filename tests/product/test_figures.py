@@ -110,9 +110,9 @@ def test_limits_in_the_docs_are_those_of_the_code() -> None:
         in reading
     )
     meshes = " ".join((DOCS / "meshes.md").read_text(encoding="utf-8").split())
-    assert f"at most {images.MAX_SIDE_PX} texels a side" in meshes
-    assert f"images above {int(png.MAX_PX**0.5)} x {int(png.MAX_PX**0.5)} are not read" in meshes
-    assert f"more than {gltf_primitives.MAX_TRIANGLES // 10**6} million triangles" in meshes
+    assert f"at most {images.MAX_SIDE_PX} texels per side" in meshes
+    assert f"Images larger than {int(png.MAX_PX**0.5)} x {int(png.MAX_PX**0.5)}, and files" in meshes
+    assert f"more than {gltf_primitives.MAX_TRIANGLES // 10**6} million triangles, are not read" in meshes
 
 
 def test_the_memory_of_long_replays_is_what_their_test_allows() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-import h3data_studies.study as package
+import h3data_studies as package
 from h3data.errors import InputError
 from h3data.recording import read_mcap
 from h3data_play.live import Table

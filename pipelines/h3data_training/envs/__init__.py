@@ -1,6 +1,6 @@
 """Environments whose worlds are tensors on a torch device: what `h3data.make(task, device=...)` returns.
 
-The functions are entry points of the group ``h3data.device_envs``, by the name of the task.
+The functions are entry points of `h3data.device_envs`, by the name of the task.
 """
 
 from __future__ import annotations
