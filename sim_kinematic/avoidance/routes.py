@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
@@ -111,7 +111,7 @@ class Flood:
     def reaches(self, places: NDArray) -> NDArray[np.bool_]:
         """Whether a path leads to each of some floor points [N, 2], as `path_to` finds them, [N]."""
         open_cells = self.grid.centres[np.isfinite(self.distance)]
-        return cKDTree(open_cells).query(places)[0] <= AVOIDANCE.near_m
+        return KDTree(open_cells).query(places)[0] <= AVOIDANCE.near_m
 
     def path_to_nearest(self, fits: NDArray[np.bool_]) -> NDArray[np.float64] | None:
         """Returns the path, as `path_to`, to the nearest of the cells [nx, nz] that fit."""

@@ -73,7 +73,7 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
     }
     pages -= {"index.md", "changes.md", "gallery.md"}
     assert {name.partition("/_docs/")[2] for name in names if "/_docs/" in name} == pages
-    page = {name.rpartition("/h3data_play/web/")[2] for name in names if "/h3data_play/web/" in name}
+    page = {name.rpartition("h3data_play/web/")[2] for name in names if "h3data_play/web/" in name}
     assert "dist/index.html" in page
     assert all(name.startswith("dist/") for name in page), page
     assert not any(name.endswith((".pyc", ".nbi", ".nbc")) for name in names)
