@@ -11,7 +11,7 @@ interface Golden {
 }
 
 /** Written by the Python side: a block that it has packed, and what is in it. */
-const GOLDEN = JSON.parse(readFileSync("../../../../tests/viewers/replays/golden_payload.json", "utf8")) as Golden;
+const GOLDEN = JSON.parse(readFileSync("../../../tests/viewers/replays/golden_payload.json", "utf8")) as Golden;
 const HALF_STEP = 2.5e-4 + 1e-9;
 
 test("a block that Python has packed is read as it has written it", async () => {
