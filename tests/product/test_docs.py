@@ -52,6 +52,8 @@ def commands(page: Path) -> list[list[str]]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_in_the_docs_exist(page: Path) -> None:
     for words in commands(page):
+        if words[0] == "lengths":
+            continue  # the command that docs/extending.md adds
         try:
             parse([word for word in words if word != "..."], COMMANDS, about="")
         except InputError as error:

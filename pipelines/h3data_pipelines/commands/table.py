@@ -106,9 +106,11 @@ BUILT_IN: dict[str, type[Command] | Group] = {
 REGISTRY: Registry[type[Command] | Group] = Registry("h3data.commands", BUILT_IN, what="command")
 
 
-_FOUND = REGISTRY.load_all()
-COMMANDS: dict[str, type[Command] | Group] = {
-    name: _FOUND[name] for name in (*(n for n in ORDER if n in _FOUND), *sorted(_FOUND.keys() - set(ORDER)))
-}
-"""Every command by name: the built-in ones, and those that packages register as entry points of ``h3data.commands``."""
+def all_commands() -> dict[str, type[Command] | Group]:
+    """Every command by name: the built-in ones, and those that installed packages register in ``h3data.commands``."""
+    found = REGISTRY.load_all()
+    return {name: found[name] for name in (*(n for n in ORDER if n in found), *sorted(found.keys() - set(ORDER)))}
+
+
+COMMANDS = all_commands()
 Completion.commands = COMMANDS
