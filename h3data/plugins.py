@@ -19,7 +19,7 @@ import sys
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -144,7 +144,9 @@ def own_entries(group: str) -> dict[str, str]:
 
 
 def _is_there(reference: str) -> bool:
-    return importlib.util.find_spec(reference.partition(".")[0].partition(":")[0]) is not None
+    """Whether the package of ``module:name`` is installed; a folder without files, which Python calls a namespace, is not."""
+    spec = importlib.util.find_spec(reference.partition(":")[0].partition(".")[0])
+    return spec is not None and spec.origin is not None
 
 
 def load_reference(reference: str) -> Any:
@@ -186,21 +188,37 @@ class Registry(Generic[T]):
         self._check = check
 
     @cached_property
-    def _built_in(self) -> dict[str, Plugin]:
-        """The entries of the table, then those of the packages that come with this one and are there."""
-        return self._table | {
-            name: Plugin(name, value) for name, value in own_entries(self.group).items() if _is_there(value)
-        }
+    def _own(self) -> dict[str, Plugin]:
+        """The entries of packages that come with this one, whether they are there or not."""
+        return {name: Plugin(name, value) for name, value in own_entries(self.group).items() if name not in self._table}
 
     @cached_property
-    def _missing(self) -> dict[str, str]:
-        """Why each entry of a package that usually comes with this one cannot be used here."""
-        return {
-            name: f"The {self.what} {name!r} is part of the package {value.partition('.')[0]}, which is not installed "
-            "here. Hint: install h3data as a whole."
-            for name, value in own_entries(self.group).items()
-            if name not in self._table and not _is_there(value)
-        }
+    def _built_in(self) -> dict[str, Plugin]:
+        """The entries of the table, then those of the packages that come with this one and are there."""
+        return self._table | {name: entry for name, entry in self._own.items() if _is_there(entry.value)}
+
+    def _load_built_in(self, name: str) -> Any:
+        """An entry of the table, or of a package that comes with this one.
+
+        Raises:
+            InputError: that package, or another one that it needs, is not there.
+        """
+        entry = self._own.get(name)
+        if entry is None:
+            return self._table[name].load()
+        packages = {other.value.partition(":")[0].partition(".")[0] for other in self._own.values()}
+        missing = str(entry.value).partition(".")[0]
+        if _is_there(entry.value):
+            try:
+                return entry.load()
+            except ModuleNotFoundError as fault:
+                missing = (fault.name or "").partition(".")[0]
+                if missing not in packages or _is_there(missing):
+                    raise
+        raise InputError(
+            f"The {self.what} {name!r} needs the package {missing}, which this installation does not have. "
+            "Hint: install h3data as a whole."
+        )
 
     def names(self) -> tuple[str, ...]:
         """Names that `get` accepts: built-in ones in the order of their table, then third-party ones from A to Z."""
@@ -223,11 +241,8 @@ class Registry(Generic[T]):
             UntrustedNameError: the name comes from data (`names_from_data`), and the user has not trusted its module.
             PluginError: the third-party object cannot be imported, fails the check, or two packages claim its name.
         """
-        built_in = self._built_in
-        if name in built_in:
-            return built_in[name].load()
-        if name in self._missing:
-            raise InputError(self._missing[name])
+        if name in self._built_in or name in self._own:
+            return self._load_built_in(name)
         claims = self._third_party().get(name, [])
         if len(claims) > 1:
             raise PluginError(self._conflict(name, claims))
@@ -248,7 +263,11 @@ class Registry(Generic[T]):
 
     def load_all(self) -> dict[str, T]:
         """Returns every object by name; warns about plug-ins that cannot be loaded and leaves them out."""
-        return {name: entry.load() for name, entry in self._built_in.items()} | self.load_third_party()
+        loaded: dict[str, T] = {}
+        for name in self._built_in:
+            with suppress(InputError) if name in self._own else nullcontext():  # a package that it needs is not there
+                loaded[name] = self._load_built_in(name)
+        return loaded | self.load_third_party()
 
     def load_third_party(self) -> dict[str, T]:
         """Returns the objects that installed packages add; warns about those that cannot be loaded."""

@@ -67,7 +67,6 @@ AGAINST_THE_LAYERS = {
         "sim_kinematic.envs",
     ],
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
-    "h3data.recording.records": ["h3data_viewers.notebook"],
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
     "h3data_play.app": [
         "h3data_play.apps.rearrange",

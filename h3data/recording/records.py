@@ -33,7 +33,6 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -43,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, suggest
+from h3data.plugins import Registry
 
 SCHEMA_VERSION = "1.7"
 """Additive changes raise the second number; readers refuse a newer first number."""
@@ -268,9 +268,12 @@ class Recording:
         return "\n".join(lines)
 
 
+_NOTEBOOKS: Registry[Any] = Registry("h3data.notebooks", {}, what="display of records")
+
+
 def notebook() -> Any:
-    """The module that shows records in notebooks; imported at run time because it belongs to a layer above."""
-    return importlib.import_module("h3data_viewers.notebook")
+    """The module that shows records in notebooks, which the package of viewers registers."""
+    return _NOTEBOOKS.get("notebook")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
