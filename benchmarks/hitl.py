@@ -51,14 +51,14 @@ TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 
 
 class Server:
-    """``python -m h3data_play.serve`` in a process of its own."""
+    """``python -m h3data_play.serve``, or ``h3data_studies.serve`` for the option ``study``, in a process of its own."""
 
     def __init__(
         self, out: Path, sessions: int = 1, workers: int = 1, options: dict[str, Any] | None = None, **plan: Any
     ) -> None:
         self.out, self.stopped_s = out, 0.0
         out.mkdir(parents=True)
-        command = [sys.executable, "-m", "h3data_play.serve"]
+        command = [sys.executable, "-m", "h3data_studies.serve" if "study" in (options or {}) else "h3data_play.serve"]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
         whole = {"out": str(out), "episodes": 10 * sessions, **plan}

@@ -12,13 +12,14 @@ from typing import Any
 
 
 class Server:
-    """``python -m h3data_play.serve``, started and stopped."""
+    """``python -m h3data_play.serve``, or ``h3data_studies.serve`` for the option ``study``, started and stopped."""
 
     def __init__(self, out: Path, options: dict[str, Any] | None = None, **plan: Any) -> None:
         out.mkdir(parents=True, exist_ok=True)
         self.out = out
+        module = "h3data_studies.serve" if "study" in (options or {}) else "h3data_play.serve"
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "h3data_play.serve"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            [sys.executable, "-m", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}, text=True,
         )  # fmt: skip
         whole = {"app": "rearrange", "scenes": "small:3", "partner": "still", "out": str(out), **plan}
