@@ -13,7 +13,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
@@ -110,6 +109,8 @@ class Flood:
 
     def reaches(self, places: NDArray) -> NDArray[np.bool_]:
         """Whether a path leads to each of some floor points [N, 2], as `path_to` finds them, [N]."""
+        from scipy.spatial import KDTree
+
         open_cells = self.grid.centres[np.isfinite(self.distance)]
         return KDTree(open_cells).query(places)[0] <= AVOIDANCE.near_m
 
