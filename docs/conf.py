@@ -108,16 +108,16 @@ def write_references() -> None:
         _write(WRITTEN / "python" / f"{name}.md", _module_page(name, about))
     _write(WRITTEN / "modules.inc", _table("python", MODULES))
     from h3data.commands.command import Group
-    from h3data_pipelines.commands.table import COMMANDS
+    from h3data_pipelines.commands.table import all_commands
 
     about_commands = {
         name: command.about
         if isinstance(command, Group)
         else " ".join((command.__doc__ or "").partition("\n\n")[0].split())
-        for name, command in COMMANDS.items()
+        for name, command in all_commands().items()
     }
     _write(WRITTEN / "commands.inc", _table("commands", about_commands))
-    for name, command in COMMANDS.items():
+    for name, command in all_commands().items():
         parts = [[name, part] for part in command.commands] if isinstance(command, Group) else [[name]]
         page = f"# h3data {name}\n\n"
         for words in parts:

@@ -133,9 +133,9 @@ def _value(value: Any) -> str:
 def _commands() -> Iterator[str]:
     from h3data.commands.command import Group
     from h3data.commands.options import options_of
-    from h3data_pipelines.commands.table import COMMANDS
+    from h3data_pipelines.commands.table import all_commands
 
-    for name, command in sorted(COMMANDS.items()):
+    for name, command in sorted(all_commands().items()):
         parts = command.commands if isinstance(command, Group) else {"": command}
         for part, one in sorted(parts.items()):
             words = f"h3data {name} {part}".rstrip()

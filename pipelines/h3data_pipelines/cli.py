@@ -50,14 +50,14 @@ def _run(args: list[str]) -> int:
     from h3data.commands.options import in_shell_words
     from h3data.errors import H3DataError  # here, so that Ctrl-C during these slow imports is caught too
     from h3data.recording.storage import masked
-    from h3data_pipelines.commands.table import ORDER, REGISTRY, all_commands
+    from h3data_pipelines.commands.table import REGISTRY, TABLE, all_commands
     from h3data_pipelines.parsing import parse
 
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
     command: Command | None = None
     try:
         commands = all_commands()
-        if args and args[0] in ORDER and args[0] not in commands:
+        if args and args[0] in TABLE and args[0] not in commands:
             REGISTRY.get(args[0])  # says which package is not there
         invocation = parse(args, commands, about=ABOUT)
         command = invocation.command

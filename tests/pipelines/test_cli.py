@@ -12,7 +12,7 @@ import pytest
 import h3data
 from h3data.errors import InputError
 from h3data_pipelines.cli import jsonable, main
-from h3data_pipelines.commands.table import COMMANDS
+from h3data_pipelines.commands.table import all_commands
 from h3data_pipelines.pictures.rerender import parse_outputs, parse_steps
 
 DEMO_FILES = (
@@ -25,6 +25,8 @@ DEMO_FILES = (
     "episode.rrd",
     "summary.json",
 )
+
+COMMANDS = all_commands()
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> Any:

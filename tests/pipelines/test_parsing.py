@@ -22,12 +22,14 @@ from h3data_pipelines.commands.converting import Convert
 from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.commands.importing import Import
-from h3data_pipelines.commands.table import COMMANDS
+from h3data_pipelines.commands.table import all_commands
 from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_pipelines.parsing import parse
 from h3data_pipelines.pictures.viewing import View
 from sim_kinematic.motion.spec import WALKERS
+
+COMMANDS = all_commands()
 
 LEAVES = [
     (words, command)

@@ -21,10 +21,12 @@ from h3data.commands.options import options_of
 from h3data.errors import InputError
 from h3data.metrics.registry import find_profile
 from h3data_pipelines.cli import main
-from h3data_pipelines.commands.table import COMMANDS
+from h3data_pipelines.commands.table import all_commands
 from h3data_pipelines.parsing import parse
 from h3data_pipelines.pictures.rerender import missing_lines
 from tests.paths import DOCS, ROOT
+
+COMMANDS = all_commands()
 
 BLOCK = re.compile(r"^ *```([^\n]*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"`(h3data [^`]+)`")

@@ -35,46 +35,12 @@ from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View
 
-ORDER = (
-    "demo",
-    "generate",
-    "evaluate",
-    "train",
-    "play",
-    "import",
-    "export",
-    "rerender",
-    "info",
-    "metrics",
-    "sql",
-    "view",
-    "report",
-    "study",
-    "scenes",
-    "bodies",
-    "motion",
-    "robots",
-    "replay",
-    "convert",
-    "card",
-    "push",
-    "pull",
-    "sync",
-    "validate",
-    "recover",
-    "docs",
-    "doctor",
-    "cache",
-    "warmup",
-    "bench",
-    "plan",
-    "completion",
-)
-"""Names as help lists them; those of other packages follow."""
-BUILT_IN: dict[str, type[Command] | Group] = {
+TABLE: dict[str, type[Command] | Group | None] = {
     "demo": Demo,
     "generate": Generate,
     "evaluate": Evaluate,
+    "train": None,
+    "play": None,
     "import": Import,
     "export": Export,
     "rerender": Rerender,
@@ -83,6 +49,7 @@ BUILT_IN: dict[str, type[Command] | Group] = {
     "sql": Sql,
     "view": View,
     "report": ReportCommand,
+    "study": None,
     "scenes": SCENES,
     "bodies": BODIES,
     "motion": MOTION,
@@ -103,14 +70,16 @@ BUILT_IN: dict[str, type[Command] | Group] = {
     "plan": Plan,
     "completion": Completion,
 }
-REGISTRY: Registry[type[Command] | Group] = Registry("h3data.commands", BUILT_IN, what="command")
+"""Commands in the order in which help lists them. None stands for one that another package registers; those that are not here
+follow, from A to Z."""
+REGISTRY: Registry[type[Command] | Group] = Registry(
+    "h3data.commands", {name: command for name, command in TABLE.items() if command is not None}, what="command"
+)
 
 
 def all_commands() -> dict[str, type[Command] | Group]:
-    """Every command by name: the built-in ones, and those that installed packages register in ``h3data.commands``."""
+    """Every command by name: those of the table, and those that installed packages register in ``h3data.commands``."""
     found = REGISTRY.load_all()
-    return {name: found[name] for name in (*(n for n in ORDER if n in found), *sorted(found.keys() - set(ORDER)))}
-
-
-COMMANDS = all_commands()
-Completion.commands = COMMANDS
+    listed = (*(name for name in TABLE if name in found), *sorted(found.keys() - TABLE.keys()))
+    Completion.commands = commands = {name: found[name] for name in listed}
+    return commands
