@@ -30,6 +30,13 @@ def is_quiet() -> bool:
     return os.environ.get(QUIET, "") not in ("", "0")
 
 
+def say(line: str) -> None:
+    """Writes a line to stderr, unless `is_quiet`; signs that a terminal cannot show or would obey are replaced."""
+    if not is_quiet():
+        sys.stderr.write(printable(line) + "\n")
+        sys.stderr.flush()
+
+
 def has_begun() -> bool:
     """Whether this process has shown progress: notices, which would come between its lines, are too late then."""
     return _shown

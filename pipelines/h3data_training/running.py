@@ -43,6 +43,13 @@ class Result:
     last: dict[str, float]
     """Last row of the learning curve."""
 
+    def as_data(self) -> dict[str, object]:
+        """The result as JSON data, as ``--json`` prints it."""
+        return {
+            "policy": str(self.folder / "policy.npz"), "done": self.done, "updates": self.updates,
+            "decisions": self.decisions, "seconds": self.seconds, "setup_s": self.setup_s, "last": self.last,
+        }  # fmt: skip
+
 
 def share_of(settings: Length, curve: list[Any], seconds: float, setups_s: float) -> float:
     """Progress, 0..1: by updates where their number is given, else by the time spent learning."""

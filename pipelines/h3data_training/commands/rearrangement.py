@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from h3data.commands.command import Outcome
 from h3data.habitat.scene_names import listed_scenes
+from h3data.progress import say
 from h3data.terminal import counted
 from h3data_training.commands.folders import run_folder
-from h3data_training.commands.lines import say
 
 if TYPE_CHECKING:
     from h3data_training.populations.settings import PopulationSettings
@@ -54,7 +54,7 @@ def train_rearrange(
         folder, settings, seed=seed, workers=workers, device=device, resume=resume, stop_after=stop_after,
         episodes_file=episodes_file, say=say,
     )  # fmt: skip
-    return Outcome(text=_summary(result, settings), data=_data(result), result=result)
+    return Outcome(text=_summary(result, settings), data=result.as_data(), result=result)
 
 
 def _cost(settings: PopulationSettings, workers: int | None) -> dict[str, float]:
@@ -83,13 +83,6 @@ def _plan(settings: PopulationSettings, workers: int | None) -> str:
         f"{cost['cpu_s'] / 3600:.2f} CPU hours; drawing the episodes takes another {drawing:.0f} "
         f"minutes of a core for {counted(homes, 'home')} where the file is not there."
     )
-
-
-def _data(result: Result) -> dict[str, object]:
-    return {
-        "policy": str(result.folder / "policy.npz"), "done": result.done, "updates": result.updates,
-        "decisions": result.decisions, "seconds": result.seconds, "setup_s": result.setup_s, "last": result.last,
-    }  # fmt: skip
 
 
 def _summary(result: Result, settings: PopulationSettings) -> str:

@@ -11,10 +11,10 @@ import tyro
 
 from h3data.commands.command import DryRunFlag, ForceFlag, JsonFlag, Outcome
 from h3data.errors import InputError
+from h3data.progress import say
 from h3data.render.light.sources import LightMode
 from h3data.terminal import counted
 from h3data_training.commands.folders import run_folder
-from h3data_training.commands.lines import say
 
 if TYPE_CHECKING:
     from h3data_training.run import Result
@@ -177,7 +177,7 @@ class Train:
             folder, settings, seed=self.seed, device=self.device, gpus=self.gpus, init=first, resume=self.resume,
             stop_after=self.stop_after, name=name, say=say,
         )  # fmt: skip
-        return Outcome(text=_summary(result, settings.task), data=_data(result), result=result)
+        return Outcome(text=_summary(result, settings.task), data=result.as_data(), result=result)
 
     def _settings(self) -> tuple[str, Settings]:
         """The recipe's name and the settings of social navigation or a skill."""
@@ -264,13 +264,6 @@ def _plan(settings: Settings) -> str:
         f"{length}; {cost['decisions_per_update']} decisions an update, held for {counted(settings.hold, 'step')}; a rollout "
         f"takes {cost['rollout_bytes'] / 1e9:.2f} GB of device memory, a checkpoint {cost['checkpoint_bytes'] / 1e6:.0f} MB."
     )
-
-
-def _data(result: Result) -> dict[str, object]:
-    return {
-        "policy": str(result.folder / "policy.npz"), "done": result.done, "updates": result.updates,
-        "decisions": result.decisions, "seconds": result.seconds, "setup_s": result.setup_s, "last": result.last,
-    }  # fmt: skip
 
 
 def _summary(result: Result, task: str) -> str:

@@ -15,6 +15,7 @@ import tyro
 from h3data.commands.command import JsonFlag, Outcome, WalkOption, claim_folder, keeping
 from h3data.errors import InputError
 from h3data.files import part_file
+from h3data.progress import say
 from h3data.terminal import counted
 from h3data_play.commands.serving import (
     AllowHostOption,
@@ -25,7 +26,6 @@ from h3data_play.commands.serving import (
     PortOption,
     ProxyFlag,
     run_server,
-    say,
     say_disk,
     serving_options,
 )

@@ -16,7 +16,7 @@ import msgspec
 import tyro
 
 from h3data.errors import H3DataError, InputError
-from h3data.progress import is_quiet
+from h3data.progress import say
 
 PortOption = Annotated[int, tyro.conf.arg(help="Port of the page (default: any free one).")]
 HostOption = Annotated[
@@ -148,13 +148,6 @@ def _start(module: str, options: dict[str, Any]) -> subprocess.Popen[bytes]:
     process.stdin.write(msgspec.json.encode(options) + b"\n")
     process.stdin.flush()
     return process
-
-
-def say(line: str) -> None:
-    """A line for whoever started the server."""
-    if not is_quiet():
-        sys.stderr.write(line + "\n")
-        sys.stderr.flush()
 
 
 def say_disk(disk: dict[str, Any], folder: Path) -> None:

@@ -15,9 +15,9 @@ import tyro
 
 from h3data.commands.command import JsonFlag, Outcome, keeping
 from h3data.errors import H3DataError, InputError
-from h3data.progress import progress
+from h3data.progress import progress, say
 from h3data.terminal import counted
-from h3data_play.commands.serving import require_aiohttp, say, started_server
+from h3data_play.commands.serving import require_aiohttp, started_server
 from h3data_studies.commands.running import SERVER, keep_design, running
 
 if TYPE_CHECKING:

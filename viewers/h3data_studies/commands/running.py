@@ -16,6 +16,7 @@ import tyro
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_file, keeping, write_text
 from h3data.errors import InputError
 from h3data.files import part_file
+from h3data.progress import say
 from h3data.terminal import counted
 from h3data_play.commands.serving import (
     AllowHostOption,
@@ -26,7 +27,6 @@ from h3data_play.commands.serving import (
     PortOption,
     ProxyFlag,
     run_server,
-    say,
     say_disk,
     serving_options,
 )
