@@ -15,12 +15,14 @@ from h3data.metrics.registry import find_profile, profile_for, profiles_named
 from h3data.recording import DatasetWriter, write_mcap
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
-from h3data_pipelines.commands.table import COMMANDS
+from h3data_pipelines.commands.table import all_commands
 from sim_kinematic.policies.assignment import plugin_policies
 from sim_kinematic.tasks.registry import _find, find_task
 from sim_kinematic.tasks.resume import resume
 from sim_kinematic.tasks.storage import EpisodePlace
 from tests.simulated import simulate_wander
+
+COMMANDS = all_commands()
 
 CANARY = """
 from pathlib import Path
@@ -67,7 +69,7 @@ READING = {
     "generate": [["wander", "--episodes-file", "PATH", "-o", "more"], ["wander", "--resume", "-o", "PATH"]],
 }
 """Command lines by command; PATH is the hostile file or dataset, ONE its episode."""
-NOT_OF_RECORDINGS = {"bench", "completion", "demo", "doctor", "plan", "play", "pull", "train", "warmup"}
+NOT_OF_RECORDINGS = {"bench", "completion", "demo", "docs", "doctor", "plan", "play", "pull", "train", "warmup"}
 
 
 @pytest.fixture(scope="module")
