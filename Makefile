@@ -188,6 +188,10 @@ api-diff: dev  ### BASE=origin/main: what a branch changes of them; fails where 
 	$(BIN)/python -m tests.public_api --since "$$BASE"
 
 VERSION ?= $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
+.PHONY: error-codes
+error-codes: dev  ### a code for each new error message, into the sources and docs/errors.md, to be committed
+	$(BIN)/python -m tests.error_codes
+
 changelog: dev  ### the next section of CHANGELOG.md as a draft; `make changelog WRITE=1 VERSION=0.3.0` writes it and deletes the fragments
 	$(BIN)/towncrier build --version $(VERSION) $(if $(WRITE),--yes,--draft)
 

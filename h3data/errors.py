@@ -6,7 +6,20 @@ from collections.abc import Iterable
 
 
 class H3DataError(Exception):
-    """Base of every error that h3data raises on purpose. Messages say what was expected, what came and what to do."""
+    """Base of every error that h3data raises on purpose. Messages say what was expected, what came and what to do.
+
+    Each kind of message has a code such as ``H3-SCENE-014``, which stays the same when its words change. `str` gives the
+    sentence alone; a traceback shows the code in a line below it. `make error-codes` assigns the codes.
+    """
+
+    code: str = "H3-OTHER-000"
+    """The code of the message. An error that is raised without one, as by a plug-in, has the one of this class."""
+
+    def __init__(self, *args: object, code: str = "") -> None:
+        super().__init__(*args)
+        if code:
+            self.code = code
+            self.add_note(f"{code}: `h3data docs {code}` says more.")
 
 
 class InputError(H3DataError):
@@ -35,6 +48,11 @@ class PluginError(H3DataError):
 
 class UntrustedNameError(InputError):
     """A file names code that is neither built in nor installed, and that the user has not trusted."""
+
+
+def with_code(error: BaseException) -> str:
+    """What an error says, with its code at the end if it has one: for a shell, a log or the record of a job."""
+    return f"{error} [{error.code}]" if isinstance(error, H3DataError) else str(error)
 
 
 def did_you_mean(name: str, valid: Iterable[str]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.errors import MissingAssetError, SceneError
+from h3data.errors import H3DataError, MissingAssetError, SceneError
 from h3data.geometry import normalized
 from h3data.mesh.gltf import GltfFile, local_matrix
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR, PlainMesh
@@ -197,7 +197,7 @@ def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m:
 def unreadable(fault: Exception, path: Path) -> SceneError:
     """The error for a file whose reader failed with ``fault``."""
     if str(path) in str(fault):
-        return SceneError(str(fault))
+        return SceneError(str(fault), code=fault.code if isinstance(fault, H3DataError) else "")
     plain = isinstance(fault, ValueError | SceneError) and str(fault)
     reason = (str(fault) if plain else f"{type(fault).__name__}: {fault}").splitlines()[0][:300]
     return SceneError(f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}")

@@ -16,10 +16,10 @@ OR = " or "
 class UnmeasurableError(InputError):
     """A recording lacks agents or data that metrics need."""
 
-    def __init__(self, message: str, reason: str) -> None:
+    def __init__(self, message: str, reason: str, *, code: str = "") -> None:
         self.reason = reason
         """The same for all recordings with the same gap, so that they can be counted."""
-        super().__init__(message)
+        super().__init__(message, code=code)
 
 
 class MissingColumnsError(UnmeasurableError):

@@ -124,7 +124,7 @@ def track_of_file(replay: Replay, path: Path) -> CameraTrack:
         base = _base(replay, spec)
         local = _poses(replay, spec)
     except InputError as error:
-        raise InputError(f"{error} In the camera file {path}") from None
+        raise InputError(f"{error} In the camera file {path}", code=error.code) from None
     poses = local if base is None else base @ local
     camera.at(poses[0]).checked()
     return CameraTrack(camera=camera, poses=poses)

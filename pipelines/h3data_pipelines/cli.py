@@ -67,9 +67,10 @@ def _run(args: list[str]) -> int:
         raise
     except (H3DataError, OSError, MemoryError) as error:
         message = masked(_message(error) if command is None else in_shell_words(_message(error), type(command)))
-        _complain(f"error: {message}")
+        code = error.code if isinstance(error, H3DataError) else ""
+        _complain(f"error: {message} [{code}]" if code else f"error: {message}")
         if "--json" in args:
-            _print(json.dumps({"error": message}))
+            _print(json.dumps({"error": message} | ({"code": code} if code else {})))
         return 2
     try:
         _print(json.dumps(jsonable(outcome.data), indent=2) if command.json else outcome.text.rstrip())

@@ -250,7 +250,7 @@ def naming(policy: str) -> Iterator[None]:
     try:
         yield
     except FormatError as fault:
-        raise FormatError(f"{fault} Policy: {policy}") from None
+        raise FormatError(f"{fault} Policy: {policy}", code=fault.code) from None
 
 
 def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation | PicturedNavigation:

@@ -210,7 +210,7 @@ def network_from(data: Mapping[str, NDArray[Any]], path: str | Path) -> Network:
     except KeyError as fault:
         raise FormatError(f"The file of weights lacks the array {fault}. File: {path}") from None
     except InputError as fault:
-        raise FormatError(f"{fault} File: {path}") from None
+        raise FormatError(f"{fault} File: {path}", code=fault.code) from None
 
 
 def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:

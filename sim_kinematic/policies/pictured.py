@@ -424,4 +424,4 @@ def pictured_from(
     except (msgspec.MsgspecError, json.JSONDecodeError, UnicodeError) as fault:
         raise FormatError(f"The card of the policy file is malformed: {fault}. File: {path}") from None
     except InputError as fault:
-        raise FormatError(f"{fault} File: {path}") from None
+        raise FormatError(f"{fault} File: {path}", code=fault.code) from None

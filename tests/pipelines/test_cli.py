@@ -291,7 +291,9 @@ def test_refusals(
 
 def test_errors_are_json_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["metrics", str(tmp_path / "none.mcap"), "--json"]) == 2
-    assert "no such file" in json.loads(capsys.readouterr().out)["error"]
+    said, line = map(str, capsys.readouterr())
+    assert "no such file" in json.loads(said)["error"]
+    assert line.endswith(f" [{json.loads(said)['code']}]\n")
 
 
 def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:

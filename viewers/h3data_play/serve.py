@@ -161,7 +161,7 @@ def main(kind: type[ServeOptions]) -> int:
     try:
         return asyncio.run(serve(options, report))
     except Refused as fault:
-        report({"refused": str(fault)})
+        report({"refused": str(fault), "code": fault.code})
         return 2
     except sqlite3.OperationalError as fault:
         report({"refused": f"The folder of the session cannot be written ({fault}). Is its disk full?"})

@@ -22,7 +22,7 @@ from typing import Any
 
 import msgspec
 
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError, InputError, with_code
 from h3data.recording import Recording, pack_mcap, write_mcap
 from h3data.scene.articulation import joints_of
 from h3data_play import assets
@@ -235,7 +235,7 @@ class Worker:
             self._no_room.pop(key, None)
             if running is not None:
                 running.game.session.abort()
-            text = str(fault) if isinstance(fault, H3DataError) else f"{type(fault).__name__}: {fault}"
+            text = with_code(fault) if isinstance(fault, H3DataError) else f"{type(fault).__name__}: {fault}"
             self.channel.send("failed", key, text)
 
     def _free_time(self, newcomer: Running) -> float:
@@ -380,10 +380,10 @@ class Worker:
         if running is None or running.over or number not in running.game.drivers:
             return
         try:
-            why = running.game.drivers[number].can_place(point)
+            reply = {"why": running.game.drivers[number].can_place(point)}
         except InputError as fault:
-            why = str(fault)
-        self.channel.send("told", key, [number, {"can": {"p": point, "why": why}}])
+            reply = {"why": str(fault), "code": fault.code}
+        self.channel.send("told", key, [number, {"can": {"p": point, **reply}}])
 
     def pack(self, key: str, body: dict[str, str]) -> None:
         """Packs a finished recording, which takes a tenth of a second: the front has a process do it in which nobody plays."""
@@ -433,11 +433,11 @@ class Worker:
                 return
             running.planned[number] = now
         try:
-            why = running.game.take(number, message, text, arrived)
+            reply = {"why": running.game.take(number, message, text, arrived)}
         except InputError as fault:  # no command: it has not been recorded
-            why = str(fault)
-        if why:
-            self.channel.send("told", running.key, [number, {"why": why}])
+            reply = {"why": str(fault), "code": fault.code}
+        if reply["why"]:
+            self.channel.send("told", running.key, [number, reply])
 
     def _send_states(self, running: Running) -> None:
         game, clock = running.game, running.clock_ms
@@ -552,7 +552,7 @@ def main(descriptor: int) -> None:
             worker = Worker(channel, plans)
             worker.warm_up()
         except H3DataError as fault:
-            channel.send("refused", "", str(fault))
+            channel.send("refused", "", {"text": str(fault), "code": fault.code})
             return
         channel.send("ready", "", {})
     except Closed:

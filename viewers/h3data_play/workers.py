@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from h3data.errors import H3DataError
 from h3data_play.channel import encode, receive
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
 
@@ -30,7 +31,7 @@ READY_S = 600.0
 Heard = Callable[["WorkerProcess", str, str, Any], None]
 
 
-class Refused(Exception):
+class Refused(H3DataError):
     """The plan cannot be played; the text says why."""
 
 
@@ -72,7 +73,7 @@ class WorkerProcess:
                 if kind == "ready":
                     self.ready.set_result(None)
                 elif kind == "refused":
-                    self.ready.set_exception(Refused(body))
+                    self.ready.set_exception(Refused(body["text"], code=body["code"]))
                 elif kind == "load":
                     self.busy, self.measured = float(body["busy"]), int(body["games"])
                 else:

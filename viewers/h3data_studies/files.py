@@ -53,7 +53,7 @@ def read_design(path: Path) -> Design:
         _check(design)
         design = _with_weights(design, path)
     except InputError as fault:
-        raise InputError(f"{fault} File: {path}") from None
+        raise InputError(f"{fault} File: {path}", code=fault.code) from None
     return design
 
 

@@ -170,4 +170,4 @@ def load_motion(path: str | Path | io.BytesIO) -> Motion:
             source=str(data["source"]),
         )  # fmt: skip
     except FormatError as error:
-        raise FormatError(f"{error} File: {path}") from None
+        raise FormatError(f"{error} File: {path}", code=error.code) from None

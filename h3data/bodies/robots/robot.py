@@ -232,7 +232,8 @@ class Robot:
         positions = np.ascontiguousarray(joint_pos, np.float64)
         if positions.shape != (len(roots), len(self.joint_names)):
             raise InputError(
-                f"Expected joint positions [{len(roots)}, {len(self.joint_names)}] of {self.name}, got {list(positions.shape)}."
+                f"Expected joint positions [{len(roots)}, {len(self.joint_names)}] of {self.name}, "
+                f"got {list(positions.shape)}."
             )
         out = np.empty((len(roots), len(self.links), 4, 4))
         link_frames(roots, positions, *self.joint_tree, out)

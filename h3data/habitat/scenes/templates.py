@@ -187,7 +187,7 @@ class TemplateReader:
             self.missing.append(str(fault))
             return None
         except FormatError as fault:  # of the URDF, not of a config: the rest of the scene stays usable
-            raise SceneError(str(fault)) from None
+            raise SceneError(str(fault), code=fault.code) from None
         semantic = int(number(attributes, "semantic_id", 0, where=where))
         on_links = receptacles_by_link(mapping(attributes, "user_defined", where=where), where=where)
         for lost in sorted(set(on_links) - {link.name for link in links}):
@@ -265,5 +265,5 @@ def _frame(template: Template, attributes: Mapping[str, Any], *, stage: bool) ->
     try:
         frame_rotation(frame.up, frame.front)
     except SceneError as fault:
-        raise SceneError(f"{fault} Hint: give both up and front. {where}") from None
+        raise SceneError(f"{fault} Hint: give both up and front. {where}", code=fault.code) from None
     return frame

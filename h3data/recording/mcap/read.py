@@ -60,7 +60,7 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
         steps = int(log.metadata["h3.end"]["steps"])
         return assemble(log, path, steps=steps, wanted=columns)
     except FormatError as error:
-        raise FormatError(f"{error} File: {path}") from error
+        raise FormatError(f"{error} File: {path}", code=error.code) from error
     except (KeyError, *decoding_errors()) as error:
         raise FormatError(f"Not a log that h3data can read ({error!r}): {path}") from error
 

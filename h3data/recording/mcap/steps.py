@@ -107,7 +107,7 @@ class McapSteps(Steps):
         try:
             return read()
         except FormatError as error:
-            raise FormatError(f"{error} File: {self.path}") from error
+            raise FormatError(f"{error} File: {self.path}", code=error.code) from error
         except (OSError, KeyError, *decoding_errors()) as error:
             raise FormatError(
                 f"Damaged or unfinished MCAP log, {what} cannot be read ({error or type(error).__name__}). "

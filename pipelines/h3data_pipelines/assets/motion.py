@@ -80,15 +80,15 @@ class MotionImport:
                 if self.kind == "auto":
                     motion_kind(path)
             except FormatError as error:
-                rows.append({"source": str(path), "status": "skipped", "reason": str(error)})
+                rows.append({"source": str(path), "status": "skipped", "reason": str(error), "code": error.code})
                 continue
             except InputError as error:
-                rows.append({"source": str(path), "status": "failed", "reason": str(error)})
+                rows.append({"source": str(path), "status": "failed", "reason": str(error), "code": error.code})
                 continue
             try:
                 rows.append(self._convert(path, target, body, options, written))
             except H3DataError as error:
-                rows.append({"source": str(path), "status": "failed", "reason": str(error)})
+                rows.append({"source": str(path), "status": "failed", "reason": str(error), "code": error.code})
         return _report(rows)
 
     def _convert(

@@ -151,7 +151,7 @@ class Convert:
             if self.check:
                 _require_equal(recording, _read_log(target), target)
         except H3DataError as error:
-            return {**row, "status": "failed", "reason": str(error)}
+            return {**row, "status": "failed", "reason": str(error), "code": error.code}
         return {**row, "status": "converted", "steps": len(recording)}
 
     def _shared_in(self, target: AnyPath) -> Path | None:
@@ -195,7 +195,7 @@ class Convert:
             try:
                 _require_equal(source.read(), dataset.recording(index), self._out)
             except H3DataError as error:
-                row |= {"status": "failed", "reason": str(error)}
+                row |= {"status": "failed", "reason": str(error), "code": error.code}
 
     def _add(
         self, source: StoredEpisode, writer: DatasetWriter, done: dict[str, int], cameras: Sequence[str]
@@ -210,13 +210,13 @@ class Convert:
                     recording, videos=[video for video in source.read_videos() if video.feature.camera in cameras]
                 )
         except H3DataError as error:
-            return {"status": "failed", "reason": str(error)}
+            return {"status": "failed", "reason": str(error), "code": error.code}
         return {"status": "converted", "recording": f"{self._out}#{index}", "steps": len(recording)}
 
     # --- result ---------------------------------------------------------------------------------------------------
     def _report(self, rows: list[dict[str, Any]], to: str) -> Outcome:
         if len(rows) == 1 and rows[0]["status"] == "failed":
-            raise InputError(rows[0]["reason"])
+            raise InputError(rows[0]["reason"], code=rows[0]["code"])
         count = {status: sum(r["status"] == status for r in rows) for status in ("converted", "kept", "failed")}
         lines = [f"failed {row['source']}: {row['reason']}" for row in rows if row["status"] == "failed"]
         checked = ", compared bit for bit" if self.check else ""
@@ -236,7 +236,13 @@ def write_logs(command: Convert, part: EpisodePart) -> list[dict[str, Any]]:
 
 def _lost_logs(command: Convert, part: EpisodePart, error: H3DataError) -> list[dict[str, Any]]:
     return [
-        {"source": source.name, "recording": str(command.target(source)), "status": "failed", "reason": str(error)}
+        {
+            "source": source.name,
+            "recording": str(command.target(source)),
+            "status": "failed",
+            "reason": str(error),
+            "code": error.code,
+        }
         for source in part.sources()
     ]
 

@@ -73,14 +73,14 @@ class ReplayCommand:
                 row["steps"] = len(recording)
                 result = verify(recording)
             except H3DataError as error:
-                rows.append({**row, "equal": None, "reason": str(error)})
+                rows.append({**row, "equal": None, "reason": str(error), "code": error.code})
                 continue
             difference = None if result.difference is None else vars(result.difference)
             version = recording.episode.schema_version
             rows.append({**row, "equal": result.equal, "difference": difference, "schema_version": version})
         if len(rows) == 1 and rows[0]["equal"] is None:
             name, reason = rows[0]["recording"], rows[0]["reason"]
-            raise InputError(reason if name in reason else f"{reason} Recording: {name}")
+            raise InputError(reason if name in reason else f"{reason} Recording: {name}", code=rows[0]["code"])
         equal = sum(row["equal"] is True for row in rows)
         lines = [_line(row) for row in rows]
         if len(rows) != 1:

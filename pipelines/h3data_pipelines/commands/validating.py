@@ -13,7 +13,7 @@ from typing import Any
 import tyro
 
 from h3data.commands.command import JsonFlag, Outcome
-from h3data.errors import FormatError, H3DataError, InputError
+from h3data.errors import FormatError, H3DataError, InputError, with_code
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, read_ahead
@@ -96,12 +96,12 @@ class Validate:
                     deque(video.frames(), maxlen=0)
                 except FormatError as error:
                     findings.append(
-                        Finding(check="video", severity="error", subject=video.feature.camera, text=str(error))
+                        Finding(check="video", severity="error", subject=video.feature.camera, text=with_code(error))
                     )
         except H3DataError as error:
             if alone and not isinstance(error, FormatError):
                 raise
-            findings = [Finding(check="unreadable", severity="error", subject=source.name, text=str(error))]
+            findings = [Finding(check="unreadable", severity="error", subject=source.name, text=with_code(error))]
         bad = bool(findings) if self.strict else any(f.severity == "error" for f in findings)
         verdict = "failed" if bad else "warnings" if findings else "sound"
         rows = [asdict(f) for f in findings]
@@ -121,7 +121,7 @@ def validate_part(command: Validate, part: EpisodePart) -> list[dict[str, Any]]:
 
 
 def _lost(part: EpisodePart, error: H3DataError) -> list[dict[str, Any]]:
-    finding = {"check": "unreadable", "severity": "error", "subject": "", "text": str(error)}
+    finding = {"check": "unreadable", "severity": "error", "subject": "", "text": with_code(error)}
     return [
         {"recording": source.name, "steps": 0, "verdict": "failed", "findings": [finding]} for source in part.sources()
     ]

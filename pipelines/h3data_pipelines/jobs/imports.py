@@ -40,6 +40,8 @@ class ImportedFile:
     recording: Path | None = None
     reason: str = ""
     """Why it was not imported."""
+    code: str = ""
+    """The code of the error, where there was one."""
     summary: dict[str, Any] = field(default_factory=dict)
     """Counts, agents, missing assets, participant and condition, warnings; see `summarize`."""
 
@@ -47,7 +49,8 @@ class ImportedFile:
         """The file as JSON types."""
         facts = {"source": str(self.source), "status": self.status, "kind": self.kind}
         facts |= {"recording": str(self.recording)} if self.recording else {}
-        return facts | ({"reason": self.reason} if self.reason else {}) | self.summary
+        facts |= {"reason": self.reason} if self.reason else {}
+        return facts | ({"code": self.code} if self.code else {}) | self.summary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +176,7 @@ class _Importer:
                 status = "skipped"
             return self._import(file, form, job)
         except H3DataError as error:
-            return ImportedFile(source=job.source, status=status, kind=kind, reason=str(error))
+            return ImportedFile(source=job.source, status=status, kind=kind, reason=str(error), code=error.code)
 
     def run(self, job: ImportJob) -> ImportedFile:
         """Imports one file.

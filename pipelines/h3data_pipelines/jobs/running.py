@@ -100,7 +100,7 @@ def film_job(job: Job, filming: Filming) -> Filmed:
                 backend=filming.backend,
             )
         except InputError as error:
-            raise InputError(f"Episode {job.index}: {error}") from None
+            raise InputError(f"Episode {job.index}: {error}", code=error.code) from None
         recording = with_info(recording, light=filming.light)
         return Filmed(recording, tuple((video, Path(str(video.path)).read_bytes()) for video in videos))
 

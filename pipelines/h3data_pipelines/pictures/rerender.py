@@ -285,7 +285,7 @@ def _counting(results: Iterator[RenderedShard], bar: Any) -> Iterator[RenderedSh
 
 
 def _lost(shard: Shard, error: H3DataError) -> RenderedShard:
-    return [f"failed {shard.path}: {error}"], {"recording": str(shard.path), "error": str(error)}
+    return [f"failed {shard.path}: {error}"], {"recording": str(shard.path), "error": str(error), "code": error.code}
 
 
 class DiskFullError(InputError):

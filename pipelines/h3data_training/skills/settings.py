@@ -49,7 +49,8 @@ class SkillSettings(Settings):
             raise InputError(f"Expected near_share from 0 to less than 1, got {self.near_share}.")
         if min(self.starts, self.limit) < 1 or not 0 <= self.path_m[0] < self.path_m[1]:
             raise InputError(
-                f"Expected starts and limit of at least 1 and path_m ascending, got {self.starts}, {self.limit}, {self.path_m}."
+                f"Expected starts and limit of at least 1 and path_m ascending, "
+                f"got {self.starts}, {self.limit}, {self.path_m}."
             )
 
     @property

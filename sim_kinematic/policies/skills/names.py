@@ -91,7 +91,7 @@ def _found(names: tuple[str, ...], robot: str) -> Mapping[str, NetworkSkill]:
         try:
             skill = NetworkSkill(network, robot=robot)
         except FormatError as fault:
-            raise FormatError(f"{fault} File: {name.removeprefix(PREFIX)}") from None
+            raise FormatError(f"{fault} File: {name.removeprefix(PREFIX)}", code=fault.code) from None
         if twice := [one for one in skill.skills if one in found]:
             raise InputError(f"Two of the files are for {twice[0]}. File: {name.removeprefix(PREFIX)}")
         found |= dict.fromkeys(skill.skills, skill)

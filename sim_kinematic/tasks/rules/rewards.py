@@ -127,7 +127,8 @@ class SocialNavReward:
         xz, human = np.asarray(seen.robot_xz, np.float64), np.asarray(seen.human_xz, np.float64)
         if xz.shape != (len(self.followed), 2) or human.shape != xz.shape:
             raise InputError(
-                f"Expected places [{len(self.followed)}, 2] of robots and humans, got {list(xz.shape)} and {list(human.shape)}."
+                f"Expected places [{len(self.followed)}, 2] of robots and humans, "
+                f"got {list(xz.shape)} and {list(human.shape)}."
             )
         faces = facing(xz, seen.robot_heading, human) if seen.faces is None else np.asarray(seen.faces, np.float64)
         gap = human - xz

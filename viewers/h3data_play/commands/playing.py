@@ -183,7 +183,7 @@ class Play:
 
     def _heard(self, report: dict[str, Any], links: list[list[str]], overs: list[dict[str, Any]], out: Path) -> None:
         if "refused" in report:
-            raise InputError(report["refused"])
+            raise InputError(report["refused"], code=report.get("code", ""))
         if "ready" in report:
             links += report["ready"]["links"]
             for seat, link in links:

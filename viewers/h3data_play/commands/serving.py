@@ -120,7 +120,7 @@ def started_server(module: str, options: dict[str, Any]) -> Iterator[tuple[list[
     try:
         for report in reports:
             if "refused" in report:
-                raise InputError(report["refused"])
+                raise InputError(report["refused"], code=report.get("code", ""))
             if "ready" in report:
                 yield report["ready"]["links"], reports
                 return

@@ -114,7 +114,7 @@ class StudyRun:
 
     def _heard(self, report: dict[str, Any], folder: Path) -> None:
         if "refused" in report:
-            raise InputError(report["refused"])
+            raise InputError(report["refused"], code=report.get("code", ""))
         if "ready" in report:
             link = report["ready"]["links"][0][1]
             (folder / LOCK).write_text(link)
