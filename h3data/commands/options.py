@@ -118,11 +118,13 @@ def check_value(option: Option, value: Any) -> None:
     if get_origin(option.kind) is Literal:
         choices = get_args(option.kind)
         if value not in choices:
-            raise InputError(f"{option.field}: unknown {value!r}.{suggest(str(value), map(str, choices))}")
+            raise InputError(
+                f"{option.field}: unknown {value!r}.{suggest(str(value), map(str, choices))}", code="H3-OPTION-014"
+            )
         return
     types, expected = _PYTHON_TYPES[option.kind]
     if not isinstance(value, types) or (isinstance(value, bool) and option.kind is not bool):
-        raise InputError(f"{option.field}: expected {expected}, got {value!r}.")
+        raise InputError(f"{option.field}: expected {expected}, got {value!r}.", code="H3-OPTION-013")
 
 
 _PYTHON_TYPES: dict[Any, tuple[tuple[type, ...], str]] = {

@@ -346,7 +346,7 @@ def _result(command: type[Command], options: dict[str, Any], *, several: tuple[s
         if value is None:
             continue
         if option.count != 1 and (one or not isinstance(value, Iterable)):
-            raise InputError(f"{option.field}: expected a list, as [{value!r}], got {value!r}.")
+            raise InputError(f"{option.field}: expected a list, as [{value!r}], got {value!r}.", code="H3-OPTION-015")
         value = value if option.count == 1 else tuple(value)
         for each in (value,) if option.count == 1 else value:
             check_value(option, each)

@@ -82,7 +82,9 @@ class WorldStepper:
         names = [member.name for member in self.source.roster]
         strangers = [agent for agent in agents if agent not in names]
         if strangers or not agents or len(set(agents)) < len(agents):
-            raise InputError(f"Expected agents that act, some of {', '.join(names)}; got {tuple(agents)!r}.")
+            raise InputError(
+                f"Expected agents that act, some of {', '.join(names)}; got {tuple(agents)!r}.", code="H3-ENV-033"
+            )
         self.agents = tuple(agents)
         self.numbers = {agent: names.index(agent) for agent in agents}
         self._others = [k for k in range(len(names)) if k not in self.numbers.values()]
@@ -136,7 +138,7 @@ class WorldStepper:
             for agent, action in actions.items()
         }
         if not self.play.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         commands = [Drive(given[k]) if k in given else self._other_command(k) for k in range(len(self.source.roster))]
         outcome = self.play.advance(commands)
         ends = outcome.terminated
@@ -190,7 +192,7 @@ class WorldStepper:
 
     def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
         if not self.play.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:

@@ -53,7 +53,9 @@ def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser
         if isinstance(network, ChooserNetwork):
             return RecurrentChooser(network, objects, robot=robot)
         if not isinstance(network, Network):
-            raise FormatError(f"Expected weights for the task {TASK}, these are for {network.task!r}.")
+            raise FormatError(
+                f"Expected weights for the task {TASK}, these are for {network.task!r}.", code="H3-POLICY-022"
+            )
         return LearnedChooser(network, objects, robot=robot)
 
 

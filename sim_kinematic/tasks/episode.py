@@ -107,7 +107,7 @@ def with_options(spec: Any, **options: Any) -> Any:
     ``human_speed`` how fast [m/s]."""
     speed, walk = options.pop("human_speed", None), options.pop("human_walk", None)
     if walk not in (None, *WALKERS):
-        raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.")
+        raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TASK-001")
     if walk is not None:
         spec = replace(spec, human=WALKERS[walk])
     if speed is not None:
@@ -116,5 +116,7 @@ def with_options(spec: Any, **options: Any) -> Any:
     for name in options:
         if name not in known:
             valid = [*known, "human_speed", "human_walk"]
-            raise InputError(f"Unknown rule {name!r}.{suggest(name, valid, lead='Expected some of')}")
+            raise InputError(
+                f"Unknown rule {name!r}.{suggest(name, valid, lead='Expected some of')}", code="H3-JOB-020"
+            )
     return replace(spec, **{name: value for name, value in options.items() if value is not None})

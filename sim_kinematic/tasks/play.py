@@ -109,7 +109,9 @@ class WorldPlay:
             InputError: W is not at least 1, or the rules give an episode no step.
         """
         if spec.max_steps < 1:
-            raise InputError(f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.")
+            raise InputError(
+                f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.", code="H3-TASK-004"
+            )
         self.task, self.spec, self.measure, self.options = task, spec, measure, dict(options or {})
         self.world = World(
             roster, worlds=worlds, base=spec.robot, walker=spec.human, person_radius_m=spec.agent_radius_m,
@@ -154,7 +156,7 @@ class WorldPlay:
             InputError: no episode has begun, or the commands do not fit; then nothing has moved.
         """
         if not self.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         self.world.step(commands)
         self._commands = list(commands)
         self.steps += 1
@@ -262,7 +264,7 @@ class WorldPlay:
             return Keep(choice.xz[None], np.array([choice.heading]), posture)
         if not hasattr(choice, "forward"):
             who = self.world.roster[number].name
-            raise InputError(f"Expected {who} to choose a Velocity or Towards, got {choice!r}.")
+            raise InputError(f"Expected {who} to choose a Velocity or Towards, got {choice!r}.", code="H3-TASK-005")
         return Drive(np.array([[choice.forward, choice.turn]], np.float32).astype(np.float64))
 
     def finish(self) -> None:
@@ -345,17 +347,26 @@ def checked_outcome(task: Rules, outcome: Any, worlds: int) -> Outcome:
     """
     who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
     if not isinstance(outcome, Outcome):
-        raise H3DataError(f"{who} must return an Outcome, got {type(outcome).__name__}.")
+        raise H3DataError(f"{who} must return an Outcome, got {type(outcome).__name__}.", code="H3-TASK-002")
     for name in ("reward", "terminated", "success"):
         values = np.asarray(getattr(outcome, name))
         if values.shape != (worlds,):
-            raise H3DataError(f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.")
+            raise H3DataError(
+                f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.", code="H3-TASK-006"
+            )
         if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise H3DataError(f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.")
+            raise H3DataError(
+                f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.", code="H3-TASK-007"
+            )
     strange = sorted(set(outcome.columns) ^ set(task.columns))
     if strange:
-        raise H3DataError(f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.")
+        raise H3DataError(
+            f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.", code="H3-TASK-003"
+        )
     for name, values in outcome.columns.items():
         if np.shape(values)[:1] != (worlds,):
-            raise H3DataError(f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.")
+            raise H3DataError(
+                f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.",
+                code="H3-TASK-008",
+            )
     return outcome

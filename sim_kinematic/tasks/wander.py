@@ -101,5 +101,7 @@ class Wander(Task):
     def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
         if chosen:
             what = "policy" if "robot" in chosen else "partner"
-            raise InputError(f"Nobody in recordings of wander follows a {what}. Hint: leave it out.")
+            raise InputError(
+                f"Nobody in recordings of wander follows a {what}. Hint: leave it out.", code="H3-TASK-067"
+            )
         return chosen

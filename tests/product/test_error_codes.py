@@ -173,3 +173,13 @@ def test_messages_are_found_behind_names_and_in_classes(tmp_path: Path) -> None:
     )
     texts = sorted(place.kind.text for place in places(read_sources([file])))
     assert texts == ["A constant one", "A local one", "Made here of {x}", "Returned by {it}", "one way / or another"]
+
+
+def test_every_place_that_raises_has_its_code_and_the_page_is_current() -> None:
+    sources = read_sources(shipped_files(ROOT))
+    given = assign(places(sources), KINDS, ROOT)
+    wrong = [f"{place.path}:{place.call.lineno}" for place, code in given if place.kind.code != code]
+    assert not wrong, f"run `make error-codes` and commit: {wrong}"
+    assert len(given) > 1000
+    page = error_codes.page_of(given, KINDS, sources)
+    assert page == PAGE.read_text(encoding="utf-8"), "run `make error-codes` and commit docs/errors.md"

@@ -27,7 +27,9 @@ def share_files(attachments: Mapping[str, bytes], folder: Path, log: Path) -> di
         InputError: ``log`` does not lie in ``folder``, where its readers search.
     """
     if folder.absolute() not in log.absolute().parents[:_LEVELS]:
-        raise InputError(f"Expected a recording in the folder of the shared files, {folder}, got: {log}")
+        raise InputError(
+            f"Expected a recording in the folder of the shared files, {folder}, got: {log}", code="H3-RECORDING-036"
+        )
     store = FileStore(folder / _BELOW)
     return {name: store.put(name, bytes(data)) for name, data in attachments.items()}
 
@@ -46,7 +48,10 @@ def _read(stored: str, what: str, log: AnyPath) -> bytes:
     name = Path(stored).name
     path = next((folder / name for folder in folders if (folder / name).is_file()), None)
     if path is None:
-        raise FormatError(f"{what} is missing: expected it as h3/files/{name}. Hint: {_RESTORE}. Recording: {log}")
+        raise FormatError(
+            f"{what} is missing: expected it as h3/files/{name}. Hint: {_RESTORE}. Recording: {log}",
+            code="H3-RECORDING-037",
+        )
     if isinstance(path, Path):
         status = path.stat()
         return _cached(path, status.st_size, status.st_mtime_ns)

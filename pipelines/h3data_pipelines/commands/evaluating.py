@@ -105,11 +105,18 @@ class Evaluate:
     def run(self) -> Outcome:
         is_skill = self.task == "skill"
         if is_skill and self.robot is not None:
-            raise InputError("Learned skills are for the robot that they were trained with: leave out --robot.")
+            raise InputError(
+                "Learned skills are for the robot that they were trained with: leave out --robot.", code="H3-OPTION-031"
+            )
         if is_skill and (self.keep or self.zsc or self.policies != ALL or self.partners != ALL):
-            raise InputError("Skills are judged with the robot alone: no --policies, --partners, --zsc or --keep.")
+            raise InputError(
+                "Skills are judged with the robot alone: no --policies, --partners, --zsc or --keep.",
+                code="H3-OPTION-032",
+            )
         if is_skill and self.light is not None:
-            raise InputError("Skills see depth, to which light makes no difference. Hint: leave out --light.")
+            raise InputError(
+                "Skills see depth, to which light makes no difference. Hint: leave out --light.", code="H3-OPTION-033"
+            )
         request = EvaluationRequest(
             task="rearrange" if is_skill else self.task,
             policies="still" if is_skill else self.policies,

@@ -89,13 +89,17 @@ class Export:
             log.warning("--light of h3data export is deprecated and will be removed. Use --person-detail low.")
         detail = "low" if self.light else self.person_detail
         if self.backend != "cpu" and "camera" not in form.write_options:
-            raise InputError(f"--backend is not for {form.option}, but for {_formats_with('camera')}. Leave it out.")
+            raise InputError(
+                f"--backend is not for {form.option}, but for {_formats_with('camera')}. Leave it out.",
+                code="H3-OPTION-034",
+            )
         check_backend(self.backend)
         given = {option: getattr(self, option) for option in ("agent", "assets", "people", "stand_ins", "camera")}
         for option, value in {**given, "person_detail": detail}.items():
             if value not in (None, (), "skin", "full", False) and option not in form.write_options:
                 raise InputError(
-                    f"--{option.replace('_', '-')} is not for {form.option}, but for {_formats_with(option)}. Leave it out."
+                    f"--{option.replace('_', '-')} is not for {form.option}, but for {_formats_with(option)}. Leave it out.",
+                    code="H3-OPTION-035",
                 )
         recordings: Iterable[Recording]
         sources: list[StoredEpisode] = []
@@ -144,7 +148,10 @@ class Export:
         elif self.force:
             source, target = Path(str(self.recording).partition("#")[0]).resolve(), self.out.resolve()
             if source == target or target in source.parents:
-                raise InputError(f"--force would delete what is exported. Choose another folder with -o: {self.out}")
+                raise InputError(
+                    f"--force would delete what is exported. Choose another folder with -o: {self.out}",
+                    code="H3-OPTION-036",
+                )
             remove_dataset(self.out)
 
 

@@ -47,7 +47,7 @@ class Info:
 
     def run(self) -> Outcome:
         if not self.paths:
-            raise InputError("Expected at least one recording (.mcap), dataset or episode file.")
+            raise InputError("Expected at least one recording (.mcap), dataset or episode file.", code="H3-OPTION-043")
         described = [part for path in map(place, self.paths) for part in _described(path)]
         faults = sum("error" in data for _, data in described)
         if faults == len(described) == 1:

@@ -89,7 +89,8 @@ class EvaluationRequest:
             partners = chosen_names("--partners", self.partners, policy_names(task, "human"))
         if strangers := [name for name in self.population if name not in partners]:
             raise InputError(
-                f"--zsc: expected partners that are evaluated ({', '.join(partners) or 'none'}), got {', '.join(strangers)}."
+                f"--zsc: expected partners that are evaluated ({', '.join(partners) or 'none'}), got {', '.join(strangers)}.",
+                code="H3-JOB-030",
             )
         choices = Choices(
             task=self.task, policy=policies[0], partner=partners[0] if partners else None, robot=self.robot, human=self.human,

@@ -143,7 +143,7 @@ def files_of(policy: str) -> tuple[str, ...]:
         return (policy,)
     found = sorted(path for path in glob.glob(pattern, recursive=True) if Path(path).is_file())
     if not found:
-        raise InputError(f"No file of weights fits this pattern: {policy}")
+        raise InputError(f"No file of weights fits this pattern: {policy}", code="H3-JOB-031")
     return tuple(PREFIX + path for path in found)
 
 
@@ -167,7 +167,7 @@ def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...
             more=", weights:FILE, module:name, or all",
         )
         hint = weights_hint(strangers[0]) if strangers else ""
-        raise InputError(f"{option}: unknown {', '.join(strangers) or 'nothing'}.{near}{hint}")
+        raise InputError(f"{option}: unknown {', '.join(strangers) or 'nothing'}.{near}{hint}", code="H3-JOB-032")
     return tuple(map(stamped, names))
 
 
