@@ -129,5 +129,5 @@ def test_the_exported_scenes_are_played_where_the_home_cannot_be_built(
 
 def test_other_recordings_are_refused(tmp_path: Path) -> None:
     h3data.generate("wander", tmp_path / "ds", episodes=1, max_steps=5)
-    with pytest.raises(InputError, match="Expected a recording of rearrange"):
+    with pytest.raises(InputError, match="H3-HABITAT-049"):
         h3data.export(tmp_path / "ds", tmp_path / "out", to="habitat-episodes")

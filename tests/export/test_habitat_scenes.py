@@ -293,9 +293,9 @@ def test_scenes_share_the_objects_of_a_dataset(tmp_path: Path) -> None:
     assert objects == sorted(p.name for p in (alone / "objects").iterdir())
     for name in ("tiny", "tiny_1"):
         same_triangles(load_habitat_scene(tmp_path / "both/scenes" / f"{name}.scene_instance.json"), small_scene())
-    with pytest.raises(InputError, match="different names"):
+    with pytest.raises(InputError, match="H3-EXPORT-018"):
         export_habitat_dataset([small_scene(), small_scene()], tmp_path / "twice")
-    with pytest.raises(InputError, match="at least one"):
+    with pytest.raises(InputError, match="H3-EXPORT-017"):
         export_habitat_dataset([], tmp_path / "none")
 
 
@@ -431,7 +431,7 @@ def test_a_folder_with_something_in_it_is_refused(tmp_path: Path) -> None:
     target = tmp_path / "x"
     export_habitat(small_scene(), target)
     before = contents(target)
-    with pytest.raises(InputError, match="not empty"):
+    with pytest.raises(InputError, match="H3-EXPORT-024"):
         export_habitat(small_scene(), target)
     (target / "stray.txt").write_text("old")
     export_habitat(small_scene(), target, force=True)
@@ -445,13 +445,13 @@ def test_force_deletes_nothing_that_it_did_not_write(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis/chapter_1.tex").write_text("dear reader")
     (tmp_path / "thesis/hssd.scene_dataset_config.json").write_text('{"stages": {}}')
-    with pytest.raises(InputError, match="did not export it"):
+    with pytest.raises(InputError, match="H3-EXPORT-020"):
         export_habitat(small_scene(), tmp_path / "thesis", force=True)
     assert (tmp_path / "thesis/chapter_1.tex").read_text() == "dear reader"
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="this is a file"):
+    with pytest.raises(InputError, match="H3-EXPORT-023"):
         export_habitat(small_scene(), tmp_path / "file", force=True)
-    with pytest.raises(InputError, match="Cannot"):
+    with pytest.raises(InputError, match="H3-EXPORT-026"):
         export_habitat(small_scene(), tmp_path / "file" / "below")
 
 
@@ -494,7 +494,7 @@ def test_meshes_with_nan_and_scenes_without_a_building_are_refused(tmp_path: Pat
     bad.vertices[0, 0] = np.nan
     with pytest.raises(SceneError, match="not finite"):
         export_habitat(replace(scene, assets={**scene.assets, "rug": Asset(name="rug", mesh=bad)}), tmp_path / "x")
-    with pytest.raises(SceneError, match="no building"):
+    with pytest.raises(SceneError, match="H3-EXPORT-019"):
         export_habitat(replace(scene, instances=scene.instances[2:]), tmp_path / "x")
 
 

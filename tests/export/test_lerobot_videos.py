@@ -177,7 +177,7 @@ def test_an_interrupted_export_leaves_nothing(
     (tmp_path / "lerobot.part" / "killed").touch()
     lerobot_export.export_lerobot(dataset, ExportRequest(out=out))
     assert [path.name for path in tmp_path.iterdir()] == ["lerobot"]
-    with pytest.raises(InputError, match="not empty"):
+    with pytest.raises(InputError, match="H3-EXPORT-028"):
         lerobot_export.export_lerobot(dataset, ExportRequest(out=out))
 
 

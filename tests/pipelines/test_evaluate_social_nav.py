@@ -155,7 +155,7 @@ def test_a_pattern_names_files_of_weights(tmp_path: Path) -> None:
     assert files_of(pattern) == tuple(f"weights:{tmp_path}/s{seed}/policy.npz" for seed in (0, 1, 2))
     for name in ("rollout_expert", "my_package:NET", f"weights:{tmp_path}/none.npz", f"weights:{tmp_path}/s[1]"):
         assert files_of(name) == (name,)
-    with pytest.raises(InputError, match="No file of weights"):
+    with pytest.raises(InputError, match="H3-JOB-031"):
         files_of(f"weights:{tmp_path}/x*/policy.npz")
 
 

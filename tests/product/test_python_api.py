@@ -100,7 +100,7 @@ def test_refusals_name_parameters(generated: Any) -> None:
     ],
 )
 def test_values_of_other_types_are_refused(options: dict[str, Any], said: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
+    with pytest.raises(InputError, match=f"(?m)^{re.escape(said)}$"):
         h3data.generate("wander", tmp_path, **options)
 
 
@@ -160,7 +160,7 @@ def test_open_takes_what_commands_take(generated: Any, tmp_path: Path) -> None:
         h3data.open("small")
     with pytest.raises(InputError, match="Expected a Dataset, this is a Recording"):
         h3data.open(tmp_path / "a.mcap", h3data.Dataset)
-    with pytest.raises(InputError, match="No file has such a name"):
+    with pytest.raises(InputError, match="H3-FILE-003"):
         h3data.open(tmp_path / "*.nothing")
 
 
@@ -180,7 +180,7 @@ def test_slices_filters_and_splits_choose_episodes(generated: Any) -> None:
     assert {f["scene"] for f in train.facts}.isdisjoint(f["scene"] for f in test.facts)
     assert sorted(f["uid"] for part in (train, test) for f in part.facts) == sorted(uids)
     assert [f["uid"] for f in dataset.split(0.5, by="scene")[0].facts] == [f["uid"] for f in train.facts]
-    with pytest.raises(InputError, match="Expected shares above 0"):
+    with pytest.raises(InputError, match="H3-RECORDING-001"):
         dataset.split(0.8, 0.5)
 
 

@@ -186,8 +186,8 @@ def test_what_is_no_camera_is_refused_in_words(replay, tmp_path, text, message):
 
 def test_broken_files_are_refused(replay, tmp_path):
     for name in ("lost.toml", "lost.json"):
-        with pytest.raises(InputError, match="No such camera file"):
+        with pytest.raises(InputError, match="H3-REPLAY-001"):
             camera_track(replay, str(tmp_path / name))
     (tmp_path / "broken.json").write_bytes(b'{"eye": \xff')
-    with pytest.raises(InputError, match="Not a camera"):
+    with pytest.raises(InputError, match="H3-REPLAY-011"):
         camera_track(replay, str(tmp_path / "broken.json"))

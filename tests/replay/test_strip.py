@@ -126,5 +126,5 @@ def test_the_command_writes_one(recording: Recording, tmp_path: Path, capsys: py
 
 def test_what_makes_no_strip_is_refused(recording: Recording) -> None:
     still = np.zeros((len(recording), 2))
-    with pytest.raises(InputError, match="something is picked or placed, or two agents cross"):
+    with pytest.raises(InputError, match="H3-REPLAY-031"):
         episode_strip(Replay(walked(recording, still, still), detail=False))

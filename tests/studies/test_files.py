@@ -82,10 +82,10 @@ def test_errors_name_the_place_and_what_was_expected(tmp_path: Path, changes: di
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="h3data study new"):
+    with pytest.raises(InputError, match="H3-STUDY-030"):
         read_design(tmp_path / "none.toml")
     (tmp_path / "bad.toml").write_text("name = ")
-    with pytest.raises(InputError, match="not valid TOML"):
+    with pytest.raises(InputError, match="H3-STUDY-031"):
         read_design(tmp_path / "bad.toml")
 
 

@@ -232,7 +232,7 @@ def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], t
     jobs = jobs_of(4, {ROBOT: network()})
     one, other = (TensorPlayers(b, "cpu").play(jobs) for b in (bank, kept))
     assert one.played == other.played
-    with pytest.raises(InputError, match="drawn with other rules"):
+    with pytest.raises(InputError, match="H3-TRAIN-066"):
         load_bank(file)
     save_bank(replace(bank, spec=ORACLE_RULES), file, drawn_by=drawn_by(DRAWN))
     assert len(bank_of(DRAWN, file)) == len(bank)
@@ -241,7 +241,7 @@ def test_a_bank_comes_back_from_its_file(episodes: Sequence[RearrangeEpisode], t
     whole, rng = file.read_bytes(), np.random.default_rng(0)
     for broken in (b"", whole[: len(whole) // 2], b"PK" + whole[2:200], gzip.compress(b"{}")):
         file.write_bytes(broken)
-        with pytest.raises(FormatError, match="Expected a bank of episodes") as caught:
+        with pytest.raises(FormatError, match="H3-TRAIN-067") as caught:
             load_bank(file)
         assert "\n" not in str(caught.value)
         assert "pickle" not in str(caught.value)
@@ -312,10 +312,10 @@ def test_reward_rises(episodes: Sequence[RearrangeEpisode], monkeypatch: pytest.
 
 
 def test_no_such_device(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="Unknown device"):
+    with pytest.raises(InputError, match="H3-ENV-017"):
         train(tmp_path, SMALL, device="toaster", episodes=episodes)
     if not torch.cuda.is_available():
-        with pytest.raises(InputError, match="no GPU"):
+        with pytest.raises(InputError, match="H3-ENV-013"):
             train(tmp_path, SMALL, device="cuda", episodes=episodes)
 
 

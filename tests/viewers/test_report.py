@@ -618,7 +618,7 @@ def test_paths_that_cannot_be_reported(runs: dict[str, Path], tmp_path: Path) ->
     for paths, message in (([], "at least one"), ([runs["stand_still"]] * 2, "Named twice")):
         with pytest.raises(InputError, match=message):
             gather(paths)
-    with pytest.raises(InputError, match="no such"):
+    with pytest.raises(InputError, match="H3-RECORDING-049"):
         gather([tmp_path / "nothing"])
 
 

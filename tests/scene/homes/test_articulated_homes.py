@@ -107,5 +107,5 @@ def test_only_what_moves_differs_in_an_opened_home() -> None:
 
 
 def test_articulated_is_true_or_false() -> None:
-    with pytest.raises(InputError, match="articulated"):
+    with pytest.raises(InputError, match="H3-SCENE-033"):
         HomeSpec(articulated=1)  # type: ignore[arg-type]

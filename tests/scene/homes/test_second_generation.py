@@ -61,7 +61,7 @@ def test_wrong_generations_and_styles_are_refused():
             HomeSpec(**wrong)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="nordic"):
         HomeSpec(generation=2, style="baroque")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="generation=2"):
+    with pytest.raises(InputError, match="H3-SCENE-029"):
         HomeSpec(style="nordic")
 
 

@@ -29,7 +29,7 @@ def test_a_home_with_storeys_has_a_name_and_is_the_same_each_time() -> None:
 def test_other_numbers_of_storeys_are_refused(wrong) -> None:
     with pytest.raises(InputError, match="storeys"):
         HomeSpec(**wrong)
-    with pytest.raises(InputError, match="small or medium"):
+    with pytest.raises(InputError, match="H3-SCENE-030"):
         HomeSpec(preset="large", generation=2, storeys=2)
 
 

@@ -76,7 +76,7 @@ def test_each_arm_is_drawn_in_by_itself(left: float, right: float) -> None:
 
 def test_two_numbers_are_wanted() -> None:
     for arms in (np.zeros(3), np.zeros((2, 2)), np.array([np.nan, 0.0])):
-        with pytest.raises(InputError, match="two arms"):
+        with pytest.raises(InputError, match="H3-BODY-067"):
             load_humanoid("female_0").clip_pose([0], [0.0], arms=arms)
 
 

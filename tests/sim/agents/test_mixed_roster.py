@@ -80,7 +80,7 @@ def test_worlds_are_taken_and_put_back(robots: int, people: int, objects: int, w
     "bad", [{"robots": -1}, {"people": -1}, {"robots": 2, "joints": [7]}, {"objects": -2}, {"joints": -1}]
 )
 def test_impossible_states_are_refused(bad: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="0 or more"):
+    with pytest.raises(InputError, match="H3-SIM-033"):
         WorldState.zeros(2, **bad)
 
 
@@ -167,11 +167,11 @@ def test_bad_actions_move_nobody(home: Scene, free: FreeSpace, bad: Any) -> None
 
 
 def test_no_worlds_and_no_room(home: Scene, free: FreeSpace) -> None:
-    with pytest.raises(InputError, match="at least 1 world"):
+    with pytest.raises(InputError, match="H3-SIM-050"):
         AgentWorlds(home, worlds=0, free=free)
-    with pytest.raises(SceneError, match="fewer agents"):
+    with pytest.raises(SceneError, match="H3-SIM-021"):
         AgentWorlds(home, ["human"] * 60, free=free).reset(0)
-    with pytest.raises(InputError, match="at least 1 step"):
+    with pytest.raises(InputError, match="H3-TASK-004"):
         simulate_wander(home, steps=0, free=free)
 
 
@@ -287,7 +287,7 @@ def test_everybody_sees_everybody(home: Scene, free: FreeSpace) -> None:
     for k in (2, 3):
         seen = CameraSensor(agent=k, outputs=("instance",), size=(120, 90)).observe(drawn)["instance"]
         assert np.isin(seen, drawn.instances(k - 2)).sum((1, 2)).min() > 30  # who stands opposite
-    with pytest.raises(InputError, match="counted from 0"):
+    with pytest.raises(InputError, match="H3-SIM-043"):
         drawn.cameras(agent=4)
     with pytest.raises(InputError, match="1 robots, then of 1 people"):
         drawn.pose(WorldState.zeros(2))
@@ -311,5 +311,5 @@ def test_any_two_agents_are_measured_near_each_other(home: Scene, free: FreeSpac
 
 
 def test_one_agent_is_near_nobody(home: Scene, free: FreeSpace) -> None:
-    with pytest.raises(InputError, match="need two agents"):
+    with pytest.raises(InputError, match="H3-METRIC-029"):
         measure(simulate_wander(home, "robot", steps=3, free=free), "field")

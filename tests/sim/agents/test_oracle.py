@@ -221,7 +221,7 @@ def test_rules_come_back_and_others_stay_as_they_were() -> None:
     assert repr(plain).startswith("RearrangeSpec(max_steps=1500, objects=2, at_goal_m=0.3, grip_m=0.15,")
     assert repr(plain).endswith(")")
     assert "oracle=OracleSpec(robot_steps=(12, 14)" in repr(ORACLE_RULES)
-    with pytest.raises(InputError, match="1 <= hand-over <= end"):
+    with pytest.raises(InputError, match="H3-SIM-032"):
         OracleSpec(robot_steps=(5, 4))
 
 

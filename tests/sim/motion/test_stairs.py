@@ -158,7 +158,7 @@ def test_episodes_with_wheeled_robots_stay_on_one_storey(task: str) -> None:
 def test_bases_of_habitat_are_refused_on_stairs() -> None:
     world = World(make_roster(("robot", "human")), base=BaseSpec(slide="habitat"))
     world.place(np.array([[[*storeys.ends()[0], 0.0], [*storeys.ends()[1], 0.0]]]), [storeys.floor()])
-    with pytest.raises(InputError, match="stairs"):
+    with pytest.raises(InputError, match="H3-SIM-037"):
         world.step([Drive(np.array([[1.0, 0.0]])), Drive(np.zeros((1, 2)))])
 
 

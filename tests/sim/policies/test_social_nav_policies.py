@@ -168,7 +168,7 @@ def test_who_walks_at_the_expert_makes_it_go_back_not_back_and_forth(speed_mps: 
 
 def test_only_the_oracle_needs_the_future(free: FreeSpace) -> None:
     view = views(free, 2)[1]._replace(future=None)
-    with pytest.raises(InputError, match="scripted"):
+    with pytest.raises(InputError, match="H3-POLICY-062"):
         future_oracle(view, SPEC)
 
     def peeked() -> np.ndarray:

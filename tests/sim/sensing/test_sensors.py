@@ -117,7 +117,7 @@ def test_the_detector_counts_and_frames_as_habitat() -> None:
     assert not sensors.detect_humanoids(ids, 7).mask.any()
     assert sensors.detect_humanoids(ids[0], more_than_pixels=1199).found == 1.0
     assert sensors.detect_humanoids(ids[0], more_than_pixels=1200).found == 0.0
-    with pytest.raises(InputError, match="pictures"):
+    with pytest.raises(InputError, match="H3-SIM-049"):
         sensors.detect_humanoids(np.zeros(5, np.int32))
 
 

@@ -73,7 +73,7 @@ def test_the_whole_robot_starts_out_of_the_furniture(home: Scene, free: FreeSpac
 
 
 def test_a_home_that_is_too_small_says_so(free: FreeSpace) -> None:
-    with pytest.raises(SceneError, match="spawn_distance="):
+    with pytest.raises(SceneError, match="H3-TASK-048"):
         draw_starts(free, 0, SocialNavSpec(spawn_distance_m=500.0))
 
 

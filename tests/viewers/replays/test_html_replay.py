@@ -329,7 +329,7 @@ def test_existing_files_are_kept(walk: Recording, tmp_path: Path) -> None:
 
 def test_recordings_without_steps_are_refused(walk: Recording, tmp_path: Path) -> None:
     empty = replace(walk, columns={name: column[:0] for name, column in walk.columns.items()}, events=(), skills=())
-    with pytest.raises(InputError, match="has none"):
+    with pytest.raises(InputError, match="H3-VIEW-002"):
         write_html(empty, tmp_path / "e.html")
 
 
