@@ -97,6 +97,7 @@ class RightOfWay:
             place = x, z, heading = _place(walker)
             was_x, was_z, was_heading = self._place[number]
             turned = abs(float(wrap_angle(heading - was_heading)))
+            # measured from where it last got on, not from step to step: who sways on the spot does not get on
             if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
                 self._stalled[number] = self._still[number] = 0
                 self._place[number] = place
@@ -110,6 +111,7 @@ class RightOfWay:
         if self._stand_offs is not None:
             for pair in self._stand_offs.update(self._is_held_off):
                 self._part(self._stand_offs, pair, carrying)
+        # the usual case ends here: ranks and paths cost far more than the distances that rule them out
         if not self._requests and (not self._asks or self._all_are_clear()):
             for walker in self._walkers.values():
                 walker.aside = None
@@ -121,6 +123,7 @@ class RightOfWay:
             first.append(me)
             blockers = [other for other in waiting if self._blocks(other, me)]
             asked = [other for other in blockers if self._ask(other, me, first)]
+            # who was asked asks next, with the rank of the asker, so that a whole row backs out in one step
             waiting = asked + [other for other in waiting if other not in asked]
         for number, walker in self._walkers.items():
             walker.aside = self._requests[number].route if number in self._requests else None
@@ -135,13 +138,17 @@ class RightOfWay:
         """Sorts busy agents before idle ones, people before robots, those that carry something before others, then by length
         of path. An agent that steps aside comes right after the one that asked it."""
         chain: list[int] = [walker.number]
+        # requests may form a circle, so each agent counts once
         while chain[-1] in self._requests and self._requests[chain[-1]].by not in chain:
             chain.append(self._requests[chain[-1]].by)
         head = self._walkers[chain[-1]]
+        # whoever was let out (`_exchange`) goes before everybody, or the two would exchange roles again in the
+        # next step
         promoted = head.number in self._requests and self._requests[head.number].by == head.number
         idle = not len(self.path(head)) and not head.hindered_by
         length = float(np.hypot(*np.diff(head.path, axis=0).T).sum())
         before = not promoted, idle, head.is_robot, head.number not in carrying, length, head.number
+        # tuples that begin alike sort by length: who was asked comes right after who asked
         return (*before, *([1] * (len(chain) - 1)))
 
     def path(self, walker: Walker) -> NDArray[np.floating]:
@@ -167,6 +174,8 @@ class RightOfWay:
         start, moves = self._start(me), self._start(other) is not None
         if start is None or (moves and not held_up):
             return False
+        # plain numbers: this runs for every pair in every step, where arrays of two numbers cost more than the
+        # sums
         (x, z), (other_x, other_z) = start.tolist(), other.xz.tolist()
         reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
         reach += AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me) + other.footprint.extent_m
@@ -184,6 +193,8 @@ class RightOfWay:
         nearest = distance_to_path(body, _without_start(ahead))
         gaps = np.hypot(*(body - me.xz).T)
         beside = AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me)
+        # who is nearer to me than to what lies ahead of me is behind or beside me, and out of the way as I walk
+        # on
         return bool(np.any((nearest < beside) & (nearest < gaps)))
 
     def _ask(self, other: Walker, me: Walker, first: Sequence[Walker]) -> bool:
@@ -192,9 +203,12 @@ class RightOfWay:
         before, mine = self._requests.get(other.number), self._requests.get(me.number)
         if mine is not None and mine.stays_steps and mine.by == other.number:
             return False  # I am to get out of its way
+        # it is on its way to a refuge: another request would send it back and forth between two places
         if before is not None and before.stays_steps:
             return True
         if before is not None and len(before.route) and self._stalled[other.number] < 3 * AVOIDANCE.held_up_steps:
+            # its place is kept while that clears my path: the best place is another one in each step, and it
+            # would waver
             end = before.route[-1]
             kept = first_of_path(path, AVOIDANCE.keeps_free_m)
             if float(distance_to_path(end, kept)) >= AVOIDANCE.aside_share * aside_distance_m(me, other):
@@ -205,6 +219,7 @@ class RightOfWay:
         if route is not None:
             self._requests[other.number] = _Request(me.number, route)
             return True
+        # with no place off my path it can only come out past me, so look for one as if I were not there
         leaves = self._retreat(other, [(me, path)], [walker for walker in first if walker is not me])
         if leaves is not None:
             self._exchange(other, me, leaves, first)
@@ -231,6 +246,7 @@ class RightOfWay:
             return
         encounter, errands = stand_offs.of(*pair), {number: stand_offs.errand(number) for number in pair}
         order = sorted(pair, key=lambda n: (errands[n].busy, n in carrying, not self._walkers[n].is_robot, n))
+        # in turns: to send the same one away again would end as it did before
         for number in order[:: -1 if encounter.rounds % 2 else 1]:
             me, other = self._walkers[number], self._walkers[sum(pair) - number]
             if not me.yields or not errands[number].obeys:
@@ -238,6 +254,7 @@ class RightOfWay:
             route = self._refuge(me, other)
             if route is None:
                 continue
+            # the other has to go on now: if both were aside, they would meet again on their way back
             self._requests.pop(other.number, None)
             stays = AVOIDANCE.refuge_steps if errands[other.number].obeys else math.inf
             me.turned_away = not errands[other.number].obeys
@@ -277,6 +294,7 @@ class RightOfWay:
             return None
         apart = np.hypot(*(cells - other.xz).T)
         aside = distance_to_path(cells, other.path) >= aside_distance_m(me, other)
+        # any place far away ends a stand-off better than none
         for good in (aside & (apart >= spec.refuge_m), apart >= spec.refuge_m, apart >= 0.95 * apart.max()):
             if good.any():
                 fits[fits] = good
@@ -335,6 +353,7 @@ class RightOfWay:
             return walker.number not in other.hindered_by and (len(walker.path) > 0 or not len(request.route))
         mine = walker.xz[None]
         if len(walker.path):
+            # the shortest path from here, which it will take once it is let go; its old path began elsewhere
             mine = first_of_path(self._free.path(walker.xz, walker.path[-1], max_snap_m=1.0), AVOIDANCE.returns_m)
             mine = np.vstack([walker.xz[None], _dots(mine)])
         return float(distance_to_path(mine, path).min()) >= AVOIDANCE.aside_share * aside_distance_m(walker, other)
@@ -364,6 +383,7 @@ class RightOfWay:
             fits = (flood.distance >= least) & (flood.distance <= farthest) & (self._routes.room >= room)
             cells = self._routes.centres[fits]
             good = np.ones(len(cells), np.bool_)
+            # distances to points first: they leave few cells for those to paths, which cost more
             for other in around:
                 good &= np.hypot(*(cells - other.xz).T) >= share * aside_distance_m(walker, other)
             for other, path in kept:

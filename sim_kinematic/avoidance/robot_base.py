@@ -48,6 +48,7 @@ def base_of(robot: Robot, rules: BaseSpec) -> BaseSpec:
         if limit is not None and getattr(rules, name) == getattr(_RULES, name):
             own[name] = limit
     hull = tuple(robot.hull_discs.tolist())
+    # nothing differs: with a base of another class that has the same values, every cache by base would begin anew
     if hull == AVOIDANCE.robot.offsets_m and all(getattr(rules, name) == value for name, value in own.items()):
         return rules
     return RobotBase(**{**vars(rules), **own, "hull_offsets_m": hull})
@@ -99,6 +100,7 @@ def floor_of(robot: Robot, base: BaseSpec, scene: Scene, free: FreeSpace) -> Fre
 
 @lru_cache(maxsize=16)
 def _wider_floor(robot: Robot, radius_m: float, scene: Scene, free: FreeSpace) -> FreeSpace:
+    # it depends on how narrow the home is whether such a floor is refused, or has no area
     try:
         floor = free.as_in(scene, radius_m=radius_m)
     except SceneError:

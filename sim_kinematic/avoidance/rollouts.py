@@ -94,6 +94,8 @@ def _roll_out(
                 touch,
                 most,
             )
+            # the gap is looked at for as long as the person is foreseen, the pose only for the next
+            # ``look_steps``
             if step < len(person):
                 now = least_gap(x, z, heading, person[step, 0], person[step, 1], hull, reach)
                 gap = min(gap, now + doubt * step * dt)

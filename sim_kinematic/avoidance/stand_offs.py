@@ -65,13 +65,16 @@ class StandOffs:
                 encounter.legs.clear()
                 continue
             encounter.steps += 1
+            # asked only of those who are near: an errand is put together anew each time
             errands = {number: self.errand(number) for number in pair}
             if self._gets_on(encounter, errands):
                 encounter.steps = encounter.rounds = 0
                 continue
             driven = [number for number, errand in errands.items() if not errand.obeys]
             long = encounter.steps > AVOIDANCE.stand_off_steps[len(driven) > 0]
+            # nobody can tell who is driven from outside to give way, so the other one must not wait as long
             long |= any(held_off(sum(pair) - number, number) for number in driven)
+            # two that have nothing to do may stand beside each other for ever
             if long and any(errand.busy for errand in errands.values()):
                 stuck.append(pair)
         return stuck
@@ -84,8 +87,10 @@ class StandOffs:
             leg, before = encounter.legs.get(number, (None, math.inf))
             if number not in encounter.legs or leg != errand.leg:
                 encounter.legs[number] = errand.leg, errand.left_m()
+            # lengths of paths take a search each, too much for every step
             elif encounter.steps % AVOIDANCE.looks_steps == 0 and math.isfinite(before):
                 gets_on |= before - errand.left_m() > AVOIDANCE.gets_on_m
+        # what they had left is measured anew from here, or one good step would count again and again
         if gets_on:
             encounter.legs.clear()
         return gets_on

@@ -76,6 +76,7 @@ def stands(other: Seen) -> bool:
 
 def waits(number: int, other: Seen) -> bool:
     """Whether a person waits for an agent in their way: one with a smaller number that moves."""
+    # an order of all people: if two waited for each other, neither would ever walk on
     return other.number < number and not stands(other)
 
 
@@ -89,9 +90,11 @@ def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[Seen]) -> Seen | 
     for other in others:
         for x, z, radius in discs_of(other):
             gap = np.array([x, z]) - xz
+            # who moves may turn this way in the next step
             room = AVOIDANCE.person.radius_m + radius + (0.0 if stands(other) else AVOIDANCE.moving_m)
             along, aside = float(gap @ ahead), float(abs(gap[0] * ahead[1] - gap[1] * ahead[0]))
             distance = float(np.hypot(*gap))
+            # people who walk side by side get hardly nearer to each other, and must not wait for it
             nears = distance - aside > AVOIDANCE.beside_nearer_m if along > 0 else False
             if nears and along < min(AVOIDANCE.ahead_m, length) + room and aside < room and distance < nearest:
                 blocker, nearest = other, distance
@@ -108,6 +111,7 @@ def path_around(
     """
     standing = [discs_of(other) for other in others if stands(other)]
     discs = np.concatenate(standing) if standing else np.zeros((0, 3))
+    # a narrow way is better than none, but only then
     for gap in passing_m:
         wide = discs + np.array([0.0, 0.0, radius_m + gap])
         path = FloorRoutes.of(free).flood(xz, wide).path_to(goal)
@@ -152,6 +156,7 @@ def retreat_place(
         return None
     lengths = free.geodesic(np.broadcast_to(xz, places.shape), places, max_snap_m=1.0)
     of_person = free.geodesic(np.broadcast_to(near[0].xz, places.shape), places, max_snap_m=1.0)
+    # the robot has to be there before the person could be, or it would drive in front of them
     fits = np.isfinite(lengths) & (of_person >= spec.retreat_m) & (lengths < of_person)
     return places[fits][np.argmin(lengths[fits])] if fits.any() else None
 

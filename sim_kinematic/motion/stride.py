@@ -83,6 +83,7 @@ def _progress(path, cumulative, along, x, z):
     total = cumulative[-1]
     px, pz = _at(path, cumulative, along)
     gap = math.hypot(px - x, pz - z)
+    # only forward and to the first nearest point: where a path folds back, its next leg may be nearer still
     while along < total:
         ahead = min(along + PROGRESS_M, total)
         px, pz = _at(path, cumulative, ahead)
@@ -99,6 +100,7 @@ def _slide(sdf, origin, cell, radius, x, z, nx, nz, most):
     obstacles let it get, and the least clearance on it: ``(x, z, moved, clearance)``."""
     sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, PUSHES)
     moved = math.hypot(sx - x, sz - z)
+    # being pushed out of a wall must not carry anybody farther than they walk
     share = min(most / moved, 1.0) if moved > 0.0 else 1.0
     sx, sz = x + share * (sx - x), z + share * (sz - z)
     return sx, sz, moved, min(clearance, sample_sdf(sdf, origin, cell, sx, sz))
@@ -151,6 +153,7 @@ def stride_step(
     facing = 1.0 if closing else max(math.cos(bend), 0.0) ** 2
     left = to_end if along >= total - ahead else total - along
     most = max(speed * max(facing, 0.2), CREEP_MPS / 2)
+    # they can still brake before the end; never zero, or they would not get there
     most = min(most, max(math.sqrt(2.0 * decel * left), CREEP_MPS / 2))
     widest = math.pi if closing or keeps_to_path else FACE_RAD if aims else sidestep
     wanted_off = min(max(bearing, -widest), widest)
@@ -170,6 +173,7 @@ def stride_step(
     direction = heading + off
     nx, nz = x + math.cos(direction) * v * dt, z - math.sin(direction) * v * dt
     beside = sample_sdf(sdf, origin, cell, nx, nz)
+    # wanted, not needed: who is in a narrower gap already keeps the room that there is
     wide = min(radius + SHOULDER_M, max(room + radius, radius))
     if beside < wide and not closing and not keeps_to_path:
         sx, sz, moved, clearance = _slide(sdf, origin, cell, wide, x, z, nx, nz, v * dt)
@@ -179,12 +183,14 @@ def stride_step(
         sx, sz, moved, clearance = _slide(sdf, origin, cell, radius, x, z, nx, nz, v * dt)
         if clearance >= min(radius, room + radius) - 1e-3:
             nx, nz, v = sx, sz, min(v, max(moved / dt, v - decel * dt))
+        # they were pushed into something else, so they stay; patience ends that
         elif not keeps_to_path:
             nx, nz, v = x, z, 0.0
     state[0], state[1], state[2], state[3], state[4], state[5] = nx, nz, heading + turn * dt, v, turn, along
     state[6] = off
     state[8] = 0.0 if along > state[7] + PROGRESS_M or not goes else state[8] + 1.0
     state[7] = max(state[7], along)
+    # cutting corners has led to where they cannot go on; the path itself is known to be free
     if state[8] > patience:
         state[9] = 1.0
     return there
