@@ -112,6 +112,7 @@ class RemotePath:
 
     def glob(self, pattern: str) -> Iterator[RemotePath]:
         """Everything below whose relative path matches, part by part (no ``**``)."""
+        # the whole tree is listed and matched here, because stores cannot match patterns
         depth = len(PurePosixPath(pattern).parts)
         return (self / p for p in map(PurePosixPath, self._listed()) if len(p.parts) == depth and p.match(pattern))
 
@@ -164,6 +165,8 @@ class RemotePath:
 
     def _listed(self, *, recursive: bool = True) -> list[str]:
         """Paths of files and folders below, relative to this one, sorted."""
+        # one request for a whole tree: object stores have no folders, and take tens of milliseconds for each
+        # answer
         selector = pafs.FileSelector(self.key, recursive=recursive, allow_not_found=True)
         with _allowed("list", self):
             found = self.filesystem.get_file_info(selector)
@@ -190,6 +193,7 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
         return path
     text = os.fspath(path)
     match = _URI.fullmatch(text)
+    # a Windows drive or a name with a colon is no URI; ``s3:/bucket`` is one that a `Path` has shortened
     if match is None or not (match["double"] or match["scheme"].lower() in SCHEMES):
         return Path(path)
     scheme, rest = match["scheme"].lower(), match["rest"]
@@ -259,6 +263,7 @@ def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
     """Uploads all files of a local folder to ``target``, those below ``last`` after the others; then deletes the folder."""
     try:
         files = sorted(path for path in folder.rglob("*") if path.is_file())
+        # what commits goes last, so readers never see a shard whose other files are still on their way
         for path in sorted(files, key=lambda path: path.is_relative_to(folder / last)):
             with path.open("rb") as stream:
                 (target / path.relative_to(folder)).put(stream)
@@ -276,6 +281,7 @@ def _allowed(to: str, path: RemotePath) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        # pyarrow has one class for all errors of stores; what happened is only in the words of the store
         text = str(error)
         bucket = f"{path.scheme}://{path.path.partition('/')[0]}"
         if _DENIED.search(text):
@@ -301,6 +307,7 @@ def _filesystem(scheme: str, authority: str, query: str) -> tuple[Any, str]:
     """The file system of all URIs that begin like this, and the path of that beginning within it."""
     uri = f"{scheme}://{authority}" + (f"?{query}" if query else "")
     try:
+        # kept per bucket by the cache: a new client would look up credentials and connect again for every file
         return pafs.FileSystem.from_uri(uri)
     except (pa.ArrowException, OSError) as error:
         raise InputError(masked(f"The storage cannot be opened ({error}): {uri}"), code="H3-RECORDING-121") from None

@@ -34,6 +34,7 @@ def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, 
     """Metadata records that open a log, by name."""
     episode = episode_metadata(header.episode)
     try:
+        # names with lone surrogates come from file systems, and would fail in the middle of the file
         for text in [*episode.values(), *header.attachments]:
             text.encode()
     except UnicodeEncodeError as error:
@@ -45,6 +46,7 @@ def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, 
 
 def episode_metadata(episode: Episode) -> dict[str, str]:
     """The episode as a metadata record, all values as text."""
+    # MCAP allows nothing but text in metadata
     return {k: str(v) for k, v in episode_to_dict(episode).items()}
 
 

@@ -104,6 +104,7 @@ class LogWriter:
         self._spans = 0
         self._input_channel: int | None = None
         self._flushed_at = time.monotonic()
+        # made before the file is: a header that cannot be stored leaves nothing behind
         metadata = header_metadata(header)
         scene = encode_record("h3.Scene", scene_dict(header))
         self._file = PartFile(self.path, overwrite=overwrite)
@@ -148,6 +149,8 @@ class LogWriter:
         assert self._rows is not None
         due = self._rows.steps - self._rows.taken >= self._flush_rows
         late = time.monotonic() - self._flushed_at >= self._flush_s
+        # rows wait for each other, because a block is encoded at once by numpy; not long, because a crash loses
+        # them
         if added and (due or late):
             self.flush()
 
@@ -227,6 +230,7 @@ class LogWriter:
         if self.closed:
             return self.path
         if self._rows is None:
+            # no step was ever written: the columns are announced all the same, so that the file can be read
             self._rows = self._fix_layout({c.name: c.empty() for c in default_layout(self.header)})
         with self._file.writing():
             if not self._finished:
@@ -238,6 +242,7 @@ class LogWriter:
                 self._mcap.add_metadata("h3.end", {"steps": str(self.steps), "skills": str(self._spans)})
                 self._mcap.finish()
                 self._finished = True
+            # apart from the records above: where only this fails, a second call must not write them again
             self._file.complete()
         self._shut()
         return self.path
@@ -309,12 +314,14 @@ class LogWriter:
         t = self._log_time(self._time_of(span.end_step))
         with self._file.writing():
             self._mcap.add_message(self._skill_channel, t, data, t)
+        # a span that is written again keeps its number
         self._spans = max(self._spans, number + 1)
 
     def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> PendingRows:
         """Takes the columns from arrays without rows, checks them against the header and announces them in the file."""
         layout = layout_of(empty)
         h = self.header
+        # only for its checks, which refuse columns that do not fit the header before anything is written
         Recording(episode=h.episode, assets=h.assets, bodies=h.bodies, agents=h.agents, columns=empty)
         with self._file.writing():
             self._mcap.add_metadata("h3.layout", {"columns": layout_to_json(layout), "hash": layout_hash(layout)})
@@ -337,6 +344,7 @@ class LogWriter:
             block = encode_block(fields, rows, first_step=first)
             messages.append((channel, block.tobytes(), block.shape[1]))
         self._blocks += 1
+        # looked up once: this loop runs for every step of every topic
         add = self._mcap.add_message
         for k, time_ns in enumerate(rows["time_ns"].tolist()):
             t = self._log_time(time_ns)

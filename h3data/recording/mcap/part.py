@@ -34,6 +34,8 @@ class Backlog:
     def write(self, data: bytes) -> int:
         self._left += data
         self._end += len(data)
+        # not left to the next flush where the disk takes it: without one for long, all of it would gather in
+        # memory
         if len(self._left) >= MOST_HELD:
             with contextlib.suppress(OSError):  # `flush` says so
                 self._hand_over()
@@ -62,6 +64,7 @@ class Backlog:
 
     def _hand_over(self) -> None:
         while self._left:
+            # a disk that fills up takes a part; the rest stays for the next call
             taken = self._file.write(self._left)
             del self._left[:taken]
 
@@ -69,6 +72,7 @@ class Backlog:
 def publish(part: Path, final: Path) -> None:
     """Gives a finished, synced file its final name; the rename itself is synced too."""
     os.replace(part, final)
+    # the name is in the folder, which has to reach the disk as well: else the file is there and cannot be found
     folder = os.open(final.parent, os.O_RDONLY)
     try:
         os.fsync(folder)
@@ -108,6 +112,7 @@ class PartFile:
 
     def complete(self) -> None:
         """Syncs everything to the disk and gives the file its final name. After an `OSError` it can be called again."""
+        # a second call after a failed rename must not write to a closed file
         if not self.stream.closed:
             self.stream.flush()
             os.fsync(self.stream.fileno())

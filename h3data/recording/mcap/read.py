@@ -49,6 +49,7 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
     if lacks_records(log):
         reconstruct_all(log, path)
     elif log.fault is None and "h3.end" not in log.metadata:
+        # every record may be sound although steps are missing: the writer was killed between two flushes
         log.fault = "the recording was never finished"
     if log.fault is not None:
         raise FormatError(
@@ -87,6 +88,7 @@ def check_kind(log: McapRecords, path: AnyPath) -> None:
         raise FormatError(
             f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}", code="H3-RECORDING-019"
         )
+    # the schema too, because tools that copy logs leave out the profile
     ours = log.profile == PROFILE or "h3.Scene" in {name for name, _ in log.schemas.values()}
     if not ours and (log.profile or log.fault is None):
         raise FormatError(
@@ -152,6 +154,7 @@ def _step_ns(log: McapRecords, channel: int | None, first: Sequence[memoryview])
     rows = decode_messages(
         fields, first, wanted={"time_ns"}, descriptor=log.schemas[schema][1], message=f"h3.{TOPIC_MESSAGES['state']}"
     )
+    # never zero: everything that computes speeds divides by it
     return max(int(rows["time_ns"][1]) - int(rows["time_ns"][0]), 1)
 
 
@@ -183,6 +186,7 @@ def _plain(message: Any) -> dict[str, Any]:
 
 def _skills(log: McapRecords) -> tuple[SkillSpan, ...]:
     spans: dict[int, SkillSpan] = {}
+    # a later message with the same number replaces the earlier one, which said that the skill was running
     for message in _messages(log, "/h3/skill"):
         spans[message.span] = struct_from_dict("Skill", _plain(message))
     return tuple(spans[k] for k in sorted(spans))
@@ -209,6 +213,7 @@ def columns_of(
             )
         )
         numbers = parts[-1].pop("")
+        # row numbers, not times, tell whether steps are missing: times may jump in recordings of real sessions
         broken = np.flatnonzero(numbers != np.arange(first, first + len(numbers)))
         sound = int(broken[0]) if len(broken) else len(numbers)
         if steps is not None and (len(numbers) != steps or sound != steps):
@@ -217,6 +222,7 @@ def columns_of(
                 code="H3-RECORDING-027",
             )
         parts[-1] = {name: array[:sound] for name, array in parts[-1].items()}
+    # topics are flushed one after the other, so a log that was cut off may have a step in one of them only
     rows = min((len(a) for part in parts for a in part.values()), default=0)
     return {name: array[:rows] for part in parts for name, array in part.items()}
 
@@ -225,6 +231,7 @@ def _layout(log: McapRecords) -> Layout | None:
     if "h3.layout" not in log.metadata:
         return None
     layout = layout_from_json(log.metadata["h3.layout"]["columns"])
+    # columns are found by this record; where it is damaged, numbers would land in other columns without an error
     if log.metadata["h3.layout"].get("hash") != layout_hash(layout):
         raise FormatError(
             "The record of the column layout is damaged: its hash does not match.", code="H3-RECORDING-022"
@@ -257,6 +264,7 @@ def assemble(
     if not columns:
         if steps:
             raise FormatError(f"Expected {steps} steps, got none.", code="H3-RECORDING-029")
+        # an episode that failed before its first step has none, but the columns that its reader expects
         layout = layout or default_layout(RecordingHeader(episode=episode, **scene))
         columns = {c.name: c.empty() for c in layout}
     if layout is not None:

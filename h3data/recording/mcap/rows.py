@@ -17,6 +17,7 @@ Rows = dict[str, NDArray[Any]]
 def native_rows(rows: Mapping[str, ArrayLike]) -> Rows:
     """Rows as arrays in this machine's byte order."""
     arrays = {name: np.asarray(values) for name, values in rows.items()}
+    # numpy keeps the byte order of files that were read, but the wire has only one
     return {n: a if a.dtype.isnative else a.astype(a.dtype.newbyteorder("=")) for n, a in arrays.items()}
 
 
@@ -64,6 +65,7 @@ class PendingRows:
         if not self._times:
             return 0
         if len(self._times) > 1:
+            # joined when somebody asks, not at each flush, which would copy all times again and again
             self._times = [np.concatenate(self._times)]
         return int(self._times[0][max(step, 0)])
 

@@ -47,6 +47,7 @@ class McapSteps(Steps):
             ) from error
         try:
             self._reported(self._open, "it")
+        # also after Ctrl-C: a file that is left open would be held until the process ends
         except BaseException:
             self.close()
             raise
@@ -71,6 +72,7 @@ class McapSteps(Steps):
             for topic in (*(f"/h3/{t}" for t in TOPIC_MESSAGES), *_ONCE)
             if (channel := self._log.channel_of(topic)) is not None
         }
+        # only now, because what is made up for the records needs the places of the messages
         if lacks_records(self._log):
             self._reconstruct()
         if "h3.end" not in self._log.metadata:
@@ -79,9 +81,12 @@ class McapSteps(Steps):
             raise ValueError("the record h3.layout is missing")
         self._steps = int(self._log.metadata["h3.end"]["steps"])
         self._per_step = [c for c in self._places if self._log.channels[c][0] not in _ONCE]
+        # steps are found by counting, so a topic with another number of messages would give the rows of other
+        # steps
         for channel in self._per_step:
             if (count := self._places[channel][-1]) != self._steps:
                 raise ValueError(f"{self._steps} steps, but {count} on {self._log.channels[channel][0]}")
+        # the columns as they come out of reading, without any row: no second rule for their shapes
         self.layout = layout_of(self._whole(0, 0, "/h3/scene").columns)
 
     def _rows(self, start: int, stop: int, names: list[str]) -> dict[str, NDArray[Any]]:
@@ -92,10 +97,12 @@ class McapSteps(Steps):
             return columns_of(self._with_steps(start, stop), steps=stop - start, wanted=set(names), first=start)
 
         columns = self._reported(read, f"steps {start} to {stop - 1}")
+        # in the order asked for, whatever the order in the log
         return {name: columns[name] for name in names}
 
     def _recording(self, start: int, stop: int) -> Recording:
         def read() -> Recording:
+            # read only with a whole recording: the scene may be larger than all steps
             for offset in self._attachments:
                 take(self._log, *self._record(offset))
             self._log.attachments |= shared_files(self._log.metadata.get(RECORD, {}), self.path)
@@ -161,7 +168,9 @@ class McapSteps(Steps):
                 self._attachments.append(AttachmentIndex.read(stream).offset)
             else:
                 take(log, opcode, body)
+        # a summary need not list chunks in the order of the file, and steps are counted through them
         self._chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
+        # in the order of the file: of two records with one name the later one counts
         for offset in sorted(metadata):
             take(log, *self._record(offset))
         check_kind(log, self.path)
@@ -183,6 +192,7 @@ class McapSteps(Steps):
         counts = []
         for chunk in self._chunks:
             offset = chunk.message_index_offsets.get(channel)
+            # the length of the index tells the number of messages, without reading or unpacking the chunk
             size = 0 if offset is None else struct.unpack("<BQHI", self._bytes(offset, 15))[3]
             counts.append(size // 16)
         return [0, *accumulate(counts)]
@@ -197,6 +207,7 @@ class McapSteps(Steps):
             for opcode, index in indexes:
                 if opcode == _MESSAGE_INDEX:
                     begins[struct.unpack_from("<H", index)[0]] = np.frombuffer(index[6:], "<u8")[1::2]
+            # steps are mostly read one after the other, and a chunk may take 4 MiB
             while len(self._kept) >= _CHUNKS_KEPT:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[number] = (memoryview(decompress(body)), begins)

@@ -103,6 +103,7 @@ class Dataset(DatasetFolder):
         """
         kinds = [kind for kind in SIDECARS if records is None or kind in records]
         self._require_columns(columns or ())
+        # one read for all episodes of a shard, instead of one for each
         for group in self._groups(indices):
             rows = [self.row(index) for index in group]
             shard = self.shard_of(rows[0])
@@ -110,8 +111,11 @@ class Dataset(DatasetFolder):
             names = None
             if columns is not None or records is not None:
                 agents = max(map(len, sidecars.get("agents", [()])))
+                # without all records the columns must be named, because those that a record describes are
+                # left out with it
                 names = {*(self._declared if columns is None else columns), *required_columns(agents)}
                 if "bodies" not in kinds:
+                    # poses of bodies that were not read would fit no body
                     names.discard("object_pose")
             for k, (row, arrays) in enumerate(zip(rows, self._read(group, names), strict=True)):
                 yield Recording(
@@ -255,6 +259,7 @@ class Dataset(DatasetFolder):
         layout = [c for c in self.layout(group[0]) if wanted is None or c.name in wanted]
         ends = np.cumsum([row["length"] for row in rows])
         steps, stored = int(ends[-1]), [c.name for c in layout if c.width]
+        # episodes without steps have no row group
         if not steps or not stored:
             return [{c.name: c.empty(row["length"]) for c in layout} for row in rows]
         try:
@@ -265,6 +270,7 @@ class Dataset(DatasetFolder):
         except DAMAGE as error:
             raise self._damage(group, error) from error
         return [
+            # views of one array: to copy each episode would double what is held
             {name: array[end - row["length"] : end] for name, array in whole.items()}
             for row, end in zip(rows, ends, strict=True)
         ]

@@ -124,6 +124,7 @@ class DatasetFolder:
             raise FormatError(
                 f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}", code="H3-RECORDING-067"
             ) from error
+        # fewer than promised are a loss; more are not, as info.json is written after the tables
         if len(table) < self._promised:
             faults.append(f"info.json counts {self._promised} episodes, there are {len(table)}: files are missing")
         if faults:
@@ -167,6 +168,8 @@ class DatasetFolder:
         try:
             row_groups = [row["row_group"] for row in rows if row["length"]]
             file = self._file(self.shard_of(rows[0]))
+            # in one thread, because who reads many episodes has several of them already; Parquet gives
+            # columns in its own order
             table = file.read_row_groups(row_groups, columns=list(names), use_threads=False).select(names)
             if len(table) != (steps := sum(row["length"] for row in rows)):
                 raise ValueError(f"expected {steps} rows, got {len(table)}")
@@ -206,9 +209,11 @@ class DatasetFolder:
 
     def _file(self, shard: int) -> pq.ParquetFile:
         if shard not in self._files:
+            # files are read one after the other; each open one holds its footer, of some hundred columns
             if len(self._files) >= _OPEN_FILES:
                 self._files.pop(next(iter(self._files))).close()
             path = shard_path(self.root, "data", shard)
+            # mapped where it lies on a disk; elsewhere many small ranges are joined into few requests
             local = isinstance(path, Path)
             self._files[shard] = pq.ParquetFile(
                 readable(path), memory_map=local, pre_buffer=not local, page_checksum_verification=True
@@ -224,6 +229,7 @@ def _chain_faults(table: pa.Table) -> list[str]:
     faults = []
     if not np.array_equal(index, np.arange(len(index))):
         faults.append(f"expected episodes 0..{len(index) - 1} in order, got {index[:5].tolist()}...")
+    # compared as a chain, so that one missing table in the middle is found without reading any steps
     if not np.array_equal(end - start, length) or not np.array_equal(start[1:], end[:-1]):
         faults.append("episode boundaries do not follow each other")
     return faults

@@ -50,6 +50,7 @@ def moments_of(values: NDArray[Any]) -> Moments:
     x = values if values.dtype.kind == "f" and values.dtype != np.float16 else values.astype(np.float64)
     with np.errstate(all="ignore"):
         finite = np.isfinite(x)
+        # the usual case, without masks and the copies that they make
         if len(x) and finite.all():
             mean = x.mean(0, dtype=np.float64)
             deviation = x - mean
@@ -84,6 +85,7 @@ def merged(a: Moments, b: Moments) -> Moments:
         gap = b.mean - a.mean
         quantiles = None
         if a.quantiles is not None and b.quantiles is not None:
+            # not those of both samples, which would need all values; LeRobot weights them in the same way
             quantiles = a.quantiles + (b.quantiles - a.quantiles) * share
         return Moments(
             count,

@@ -59,6 +59,7 @@ class DatasetRecords:
     def table(self, kind: str, shard: int) -> pa.Table:
         """The records of a kind in one shard; none if the dataset is older than that kind of record."""
         path = shard_path(self._root, f"h3/{kind}", shard)
+        # missing may be right only for older datasets; in a newer one the file is lost, and reading it says so
         if version_numbers(self._version) < SIDECAR_SINCE.get(kind, (0, 0)) and not path.exists():
             return record_schema(SIDECARS[kind]).empty_table()
         return read_whole(path)
@@ -72,11 +73,13 @@ class DatasetRecords:
         key = (kind, shard)
         try:
             if key not in self._tables:
+                # two shards: jobs over many episodes go from one to the next
                 if len(self._tables) >= 2 * len(SIDECARS):
                     self._tables.pop(next(iter(self._tables)))
                 table = conform(self.table(kind, shard), record_schema(SIDECARS[kind]))
                 self._tables[key] = (table, table["episode_index"].to_numpy())
             table, owners = self._tables[key]
+            # records are sorted by episode, since episodes are only ever appended
             bounds = np.searchsorted(owners, [*episodes, episodes.stop])
             rows = table.slice(bounds[0], bounds[-1] - bounds[0]).to_pylist()
             records = [struct_from_dict(SIDECARS[kind], row) for row in rows]

@@ -152,6 +152,7 @@ def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:
     for k, field in enumerate(schema):
         column = table.column(k)
         if column.type != field.type:
+            # a view, not a cast: values above 2**63 would overflow
             table = table.set_column(k, field, pa.chunked_array([c.view(field.type) for c in column.chunks]))
     return table.cast(schema)
 
@@ -164,5 +165,6 @@ def _groups(dataset: DatasetFolder, episodes: Iterable[int] | None) -> Iterator[
     """Episodes with steps, in their order, in runs within one shard."""
     rows = dataset.rows
     with_steps = (index for index in chosen_episodes(dataset, episodes) if rows[index]["length"])
+    # in runs, not sorted: the rows come in the order in which episodes were asked for
     for _, group in itertools.groupby(with_steps, key=lambda index: dataset.shard_of(rows[index])):
         yield list(group)

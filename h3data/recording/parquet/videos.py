@@ -140,6 +140,7 @@ class VideoAppender:
         self._container: Any = None
         self._stream: Any = None
         self._settings = b""
+        # now, although FFmpeg comes later: the name is taken from here on
         part.touch(exist_ok=False)
 
     def add(self, video: EpisodeVideo) -> None:
@@ -161,6 +162,7 @@ class VideoAppender:
                     )
                     self._stream = self._container.add_stream_from_template(packet.stream)
                     self._settings = bytes(packet.stream.codec_context.extradata or b"")
+                # a file has one set of parameters for its decoder, so other packets would decode to noise
                 elif not count and bytes(packet.stream.codec_context.extradata or b"") != self._settings:
                     raise InputError(
                         f"The video of camera {video.feature.camera} was encoded with other settings than those before it "
@@ -171,6 +173,8 @@ class VideoAppender:
                     raise FormatError(
                         f"Expected a key frame at frame {video.start}: {video.path}", code="H3-RECORDING-088"
                     )
+                # times are counted in frames of the whole file, as those of the source begin anew with
+                # each episode
                 packet.stream = self._stream
                 packet.time_base = Fraction(1, video.fps)
                 packet.pts = packet.dts = self.frames + count
@@ -188,6 +192,7 @@ class VideoAppender:
     def close(self) -> None:
         """Finishes the file and syncs it to the disk."""
         self._stack.close()
+        # FFmpeg has closed its own; to sync a file any descriptor will do
         with self.part.open("rb") as stream:
             os.fsync(stream.fileno())
 
@@ -206,6 +211,7 @@ def count_frames(path: AnyPath) -> int:
     with ExitStack() as stack:
         container = _opened(path, stack)
         try:
+            # the last packet is empty: it tells a decoder to hand out what it holds
             return sum(packet.size > 0 for packet in container.demux(video=0))
         except (OSError, ValueError) as error:
             raise FormatError(f"The video is damaged ({error}): {path}", code="H3-RECORDING-087") from None
@@ -217,6 +223,7 @@ def _packets(video: EpisodeVideo, stack: ExitStack) -> Iterator[Any]:
     stream = container.streams.video[0]
     try:
         if video.start:
+            # to the key frame before; packets up to the first one wanted are passed over below
             container.seek(round(video.start / video.fps / stream.time_base), stream=stream)
         count = 0
         for packet in container.demux(stream):
@@ -233,6 +240,7 @@ def _opened(path: AnyPath, stack: ExitStack) -> Any:
     import av
 
     try:
+        # absolute, since FFmpeg takes a name with a colon for a protocol
         source: Any = os.path.abspath(path) if isinstance(path, Path) else stack.enter_context(open_binary(path))
         container = stack.enter_context(av.open(source))
     except FileNotFoundError:

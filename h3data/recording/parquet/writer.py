@@ -112,8 +112,11 @@ class DatasetWriter:
             assert self._schema is not None
             layout = _checked_layout(recording, self._schema, any_rate=self._nominal_fps)
             by_key = self._checked_videos(recording, videos)
+            # before the episode, not after it: no episode may lie in two video files
             if self._shard and self._shard.video_frames + len(recording) > MAX_FILE_S * self._fps_of_schema:
                 self.commit()
+            # everything that can be refused comes before the first byte, so that the shard is not spoiled by
+            # it
             row = _episode_row(recording, layout)
             attachments = {name: self._files.put(name, data) for name, data in recording.attachments.items()}
             row["attachments"] = json.dumps(attachments, ensure_ascii=False)
@@ -151,11 +154,13 @@ class DatasetWriter:
             except BaseException:
                 shard.discard()
                 raise
+            # LeRobot looks for a video file even for episodes without steps, so the last one is remembered
             self._video_number = self._shard_index if shard.videos else self._video_number
             self._shard_index += 1
             self._totals.episodes += shard.episodes
             self._totals.frames += shard.frames
             merge_into(self._totals.moments, shard.moments)
+            # last: the totals only summarise, and can be made again if this fails
             write_meta(self.root, self._schema, self._totals)
 
     def close(self) -> None:
@@ -214,6 +219,7 @@ class DatasetWriter:
                 f"folder: {root}",
                 code="H3-RECORDING-096",
             )
+        # a dataset without a commit has nothing to go on with
         if overwrite or begun:
             for folder in (root / "meta", root / "data", root / "h3", root / "videos"):
                 remove_tree(folder)
@@ -240,8 +246,10 @@ class DatasetWriter:
             )
         self._schema = DatasetSchema.load(self.root)
         self._claim()
+        # a writer that was killed cannot come back to them
         for leftover in self.root.rglob("*.part"):
             leftover.unlink()
+        # counted by episode tables, the commits: a data file alone says nothing
         committed = shard_files(self.root, "meta/episodes")
         self._shard_index = shard_number(committed[-1]) + 1 if committed else 0
         for kind in ("data", *(f"h3/{k}" for k in SIDECARS)):
@@ -273,6 +281,7 @@ class DatasetWriter:
                     code="H3-RECORDING-105",
                 )
         frames = self._totals.frames + (self._shard.frames if self._shard else 0)
+        # the cameras are not known before the first episode with steps is rendered
         if given and not self._schema.videos and not frames:
             self._schema = replace(self._schema, videos=given)
             write_atomic(self.root / "h3" / "schema.json", self._schema.to_json())
@@ -368,6 +377,7 @@ def _checked_layout(recording: Recording, schema: DatasetSchema, *, any_rate: bo
             "or write them to another dataset.",
             code="H3-RECORDING-090",
         )
+    # ten milliseconds in a second: rates such as 29.97 count as 30
     if not any_rate and abs(recording.episode.dt_ns * schema.fps - 1_000_000_000) > 10_000_000:
         raise InputError(
             f"Episode {recording.episode.episode_id!r} has steps of {recording.episode.dt_ns} ns, the dataset "
