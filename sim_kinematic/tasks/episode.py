@@ -89,9 +89,12 @@ class Outcome:
 
 
 def rules_dict(spec: Any) -> dict[str, Any]:
-    """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, and where
-    nobody is solid, no floor moves and no skill is learned or an oracle's there is none of that, as in those made before there
-    were such rules."""
+    """Rules of an episode as a dictionary, as recordings and episode files hold them.
+
+    A rule added after the first version of the format has no entry as long as it has its neutral value: people turn on
+    the spot (no ``stride``), nobody is solid, no floor moves, and no skill is learned or an oracle's. Old and new
+    recordings of the same episode thus have equal dictionaries.
+    """
     rules = asdict(spec)
     for name in ("solid_agents", "floor_moves", "skills", "oracle"):
         if not rules.get(name, True):
@@ -103,8 +106,11 @@ def rules_dict(spec: Any) -> dict[str, Any]:
 
 
 def with_options(spec: Any, **options: Any) -> Any:
-    """A spec with those options that are not None; ``human_walk`` is how people walk, ``paper`` or ``natural``, and
-    ``human_speed`` how fast [m/s]."""
+    """Rules with some options replaced; options that are None leave them as they are.
+
+    Beside the fields of ``spec`` there are ``human_walk``, the gait of people (``paper`` or ``natural``), and
+    ``human_speed``, their walking speed [m/s].
+    """
     speed, walk = options.pop("human_speed", None), options.pop("human_walk", None)
     if walk not in (None, *WALKERS):
         raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.")

@@ -41,7 +41,8 @@ class Play(Protocol):
     """Skills that have ended, likewise."""
 
     @property
-    def episode(self) -> Episode: ...
+    def episode(self) -> Episode:
+        """The episode that is played."""
 
     @property
     def step(self) -> int:
@@ -54,8 +55,11 @@ class Play(Protocol):
         ...
 
     def turns(self) -> Generator[int | None, Any, None]:
-        """Plays to the end: yields the number of an agent that must decide and takes its choice, and yields None when a
-        step is over."""
+        """Generator that plays the episode to its end.
+
+        It yields the number of an agent that must decide and is sent the agent's choice, and yields None after each
+        step.
+        """
         ...
 
     def view(self, agent: int) -> Any:
@@ -82,13 +86,17 @@ class Rules(Protocol):
     columns: ClassVar[Mapping[str, Any]]
     records_judgement: ClassVar[bool]
 
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None: ...
+    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+        """Prepares the worlds ``rows`` [n], whose episodes have just begun."""
 
-    def judge(self, play: WorldPlay) -> Outcome: ...
+    def judge(self, play: WorldPlay) -> Outcome:
+        """Returns reward, end and events of the step that all worlds have just made."""
 
-    def view(self, play: WorldPlay, agent: int, world: int) -> Any: ...
+    def view(self, play: WorldPlay, agent: int, world: int) -> Any:
+        """Returns the observation of an agent's policy in one world."""
 
-    def end_reason(self, play: WorldPlay, world: int) -> str: ...
+    def end_reason(self, play: WorldPlay, world: int) -> str:
+        """Returns the word recorded in ``info["ended"]`` for an episode that the rules have ended."""
 
 
 class WorldPlay:
@@ -104,9 +112,18 @@ class WorldPlay:
         measure: bool = True,
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        """
+        """Creates worlds without episodes; `begin` puts episodes into them.
+
+        Args:
+            task: rules by which each step is judged.
+            spec: numbers of the rules, such as ``max_steps``.
+            roster: agents of every world.
+            worlds: number of worlds W.
+            measure: whether rewards and collisions are computed.
+            options: options of the task, for environments.
+
         Raises:
-            InputError: W is not at least 1, or the rules give an episode no step.
+            InputError: W is less than 1, or the rules allow no steps.
         """
         if spec.max_steps < 1:
             raise InputError(f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.")
@@ -215,20 +232,25 @@ class WorldPlay:
     # --- one world: Play ----------------------------------------------------------------------------------------------
     @property
     def episode(self) -> Episode:
+        """Episode of the first world."""
         return self.episodes[0]
 
     @property
     def step(self) -> int:
+        """Number of steps made in the first world."""
         return int(self.steps[0])
 
     @property
     def over(self) -> bool:
+        """Whether the rules or the time limit have ended the first world's episode."""
         return bool(self.outcome.terminated[0] or self.out_of_time[0])
 
     def view(self, agent: int) -> Any:
+        """Observation of an agent's policy in the first world, as the task defines it."""
         return self.task.view(self, agent, 0)
 
     def turns(self) -> Generator[int | None, Any, None]:
+        """Plays the first world to the end of its episode: asks every agent in turn, then makes a step."""
         agents = range(len(self.world.roster))
         for _ in range(self.spec.max_steps):
             choices = []
@@ -270,6 +292,7 @@ class WorldPlay:
 
     # --- recording ----------------------------------------------------------------------------------------------------
     def snapshot(self) -> tuple[Any, ...]:
+        """State of the first world after a step, as plain numbers; `columns` makes blocks of them."""
         numbers: list[float] = []
         state, before, skills = self.world.state, self.world.before, self.task.skills
         for k, (member, own) in enumerate(zip(self.world.roster, state.agents, strict=True)):
@@ -294,6 +317,7 @@ class WorldPlay:
         return (*numbers, judged, self.world.touching[0])
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
+        """Columns of a recording from the snapshots of consecutive steps, the first of which is step ``first``."""
         numbers = np.array([row[:-2] for row in snapshots], np.float64)
         steps, floor = len(snapshots), self.episode.free
         result: Columns = {"time_ns": np.arange(first + 1, first + steps + 1, dtype=np.int64) * STEP_NS}

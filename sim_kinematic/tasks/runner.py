@@ -1,5 +1,8 @@
-"""The only loop over steps. `run` lets policies play an episode to its end; a `Session` is the same loop for callers that
-bring their own clock, such as a person at a keyboard or a learner; `simulate` runs and records."""
+"""The only loop over steps, in three forms.
+
+`run` lets policies play an episode to its end, and `simulate` also records it. A `Session` is the same loop for callers
+that bring their own clock, such as a live server or a learning algorithm.
+"""
 
 from __future__ import annotations
 
@@ -219,8 +222,7 @@ class Session:
 
     @property
     def waiting(self) -> tuple[str, ...]:
-        """Agents controlled from outside that have nothing to do but what they are told next: no skill of theirs is
-        running."""
+        """Names of the agents controlled from outside that wait for a command, because none of their skills is running."""
         if self.play.over:
             return ()
         return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.is_busy(self.play, k))
@@ -231,8 +233,10 @@ class Session:
 
     # --- commands -----------------------------------------------------------------------------------------------------
     def act(self, agent: str, command: Any) -> None:
-        """Tells an agent what to do in the next step. A new command interrupts a running skill. It is recorded as raw input,
-        so that the recording can be simulated again from it.
+        """Sets the command of an agent for the next step.
+
+        A new command interrupts a running skill. It is recorded as raw input, so that the recording can be simulated
+        again from it.
 
         Raises:
             InputError: the agent is not controlled from outside, or the command is malformed.
@@ -259,8 +263,10 @@ class Session:
         return number, self._inboxes[number]
 
     def step(self) -> StepResult:
-        """Plays one step. An agent that must decide and was told nothing new goes on with its last command, or does
-        nothing (`Task.idle_choice`).
+        """Plays one step.
+
+        An agent that must decide and has no new command continues with its last one, or does nothing
+        (`Task.idle_choice`).
 
         Raises:
             InputError: the episode is over.

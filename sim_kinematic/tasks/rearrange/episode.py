@@ -1,8 +1,10 @@
-"""Episodes of social rearrangement: which objects lie where, where they are to go, where both agents start
-(paper section 4.2; spec/habitat.md 2.1, 2.2).
+"""Sampling of episodes of social rearrangement: objects, their goals, and the starts of both agents.
 
-Everything follows from the seed. An episode is drawn again until both a robot and a person can get at every object and
-every goal, and a person alone could do the work in time: so whoever plays it, it is the same episode and can be done.
+The rules follow the paper (section 4.2) and habitat-lab (spec/habitat.md 2.1, 2.2).
+
+Everything follows from the seed. An episode is sampled again until both a robot and a person can reach every object and
+every goal, and a person alone could do the work in time. Whatever policies play it, it is therefore the same episode,
+and it can be solved.
 """
 
 from __future__ import annotations
@@ -341,9 +343,11 @@ class _Draw:
         *,
         spots: int,
     ) -> tuple[Target, ...] | None:
-        """A start and a goal for each of the chosen things, each within ``within_m`` on the floor of the place before; None
-        if ``spots`` tries on each surface give no such places, or if the way past all of them is certainly longer than
-        ``longest_m``."""
+        """A start and a goal for each chosen object, each within ``within_m`` on the floor of the one before.
+
+        Returns None if ``spots`` tries on each surface give no such places, or if a path that visits all of them is
+        certainly longer than ``longest_m``.
+        """
         names = {i.name for i in chosen}
         taken = [
             (i.pose[:3], object_extent(self.scene, i)[0])
@@ -448,8 +452,10 @@ class _Draw:
         return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
 
     def _person_stand(self, place: Reachable, here: Array | None = None) -> tuple[Array | None, float]:
-        """A stand [3] from which the person's hand gets to a place while the body keeps out of the home, the nearest to
-        ``here`` [2], and the way to it [m]; None and infinity where there is none."""
+        """Pose [3] from which the person's hand reaches a place without the body touching the home, and the path length to it.
+
+        It is the nearest such pose to ``here`` [2]. Returns None and infinity if there is none.
+        """
         point = place.point
         at = tuple(point.tolist())
         stands = self._stands.get(at)

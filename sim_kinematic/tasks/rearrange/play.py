@@ -160,8 +160,10 @@ class AgentRun:
         self.write(step, "done", "")
 
     def finish(self, step: int, *, completed: bool) -> None:
-        """Reports what is still running in the last step: as done if it ``completed`` the task, which ends the episode before
-        the skill itself does."""
+        """Reports the skill that is still running in the last step.
+
+        If the agent ``completed`` the task, the skill counts as done: the episode ends before the skill itself does.
+        """
         if self._driven_since >= 0:
             self._end_drive(step)
         elif self.skill is not None:
@@ -318,8 +320,10 @@ class RearrangePlay:
         return found
 
     def _move_joints(self, before: NDArray[np.float64]) -> None:
-        """Tells of doors and drawers that have moved in this step, and lets bodies and arms know where they stand as soon as
-        all of them do."""
+        """Reports doors and drawers that have opened or closed in this step, as events.
+
+        When all of them have come to rest, the collision shapes that bodies and arms avoid are updated.
+        """
         openables = self.openables
         if openables is None:
             return
@@ -392,6 +396,7 @@ class RearrangePlay:
 
     @property
     def over(self) -> bool:
+        """Whether the episode has ended, by success, by a rule, or by its number of steps."""
         return self.ended != "max_steps" or self.steps == self.episode.spec.max_steps
 
     def finish(self) -> None:
@@ -500,8 +505,15 @@ class RearrangePlay:
         return door
 
     def door_before(self, actor: AnyActor, stands: Callable[[FreeSpace], Array]) -> int:
-        """The first closed door between rooms that keeps an agent from all of the places ``(x, z, heading)`` [N, 3] to stand
-        that ``stands`` gives on a floor; -1: it gets to one, or no door is to blame."""
+        """Number of the first closed door between rooms that blocks all poses from which an agent could act.
+
+        Args:
+            actor: the agent.
+            stands: poses ``(x, z, heading)`` [N, 3] on a given floor from which the agent could act.
+
+        Returns:
+            The door's number; -1 if the agent can get to one of the poses, or if no door blocks them.
+        """
         if self.openables is None or not self.episode.spec.floor_moves:
             return -1
         positions = self.openables.positions
@@ -527,8 +539,11 @@ class RearrangePlay:
     def pictures(
         self, agent: int, names: Sequence[str], size: tuple[int, int] | None, light: LightMode = "flat"
     ) -> dict[str, NDArray[Any]]:
-        """Named pictures of an agent now, as `sim_kinematic.sensing.eyes.see`: arms and hands where they are, objects where
-        they lie or are held, doors and drawers where they last came to rest."""
+        """Named pictures from the cameras of an agent at the present step, as `sim_kinematic.sensing.eyes.see` renders them.
+
+        Arms and hands are where they are now, objects where they lie or are held, doors and drawers where they last
+        stood still.
+        """
         from sim_kinematic.sensing.eyes import see
 
         bodies = [member.body for member in self.episode.roster]

@@ -1,5 +1,6 @@
-"""Social navigation: a robot must find a walking person and follow them at 1-2 m, facing them, without contact
-(paper section 4.1 and appendix; spec/habitat.md 1).
+"""Social navigation: a robot must find a walking person and follow them at 1-2 m, facing them, without contact.
+
+The rules follow the paper (section 4.1 and appendix) and habitat-lab (spec/habitat.md 1).
 """
 
 from __future__ import annotations
@@ -100,6 +101,11 @@ class SocialNav(Task):
     def sample(
         self, scene: Scene, free: FreeSpace, seed: int, spec: SocialNavSpec, roster: tuple[AgentSpec, ...]
     ) -> Episode:
+        """Samples the starts of the robot and the person on the floor that both can use.
+
+        Raises:
+            InputError: the roster is not one robot and one person.
+        """
         _require_pair(roster)
         free = common_floor(roster, free)
         fits = robot_fits(roster[ROBOT].body, spec.robot, scene, free)  # type: ignore[arg-type]
@@ -107,9 +113,15 @@ class SocialNav(Task):
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts.places)
 
     def storage(self) -> SocialNavStorage:
+        """Storage of episodes with starts and the person's goals, in our files and Habitat's."""
         return SocialNavStorage()
 
     def restore(self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
+        """Episode of a recording, from the rules and starts in its info.
+
+        Raises:
+            InputError: the recording lacks one of them, or its agents are not a robot and a person.
+        """
         info, agents = recording.episode.info, recording.agents
         lacks = [name for name in ("spec", "robot_start", "human_start") if name not in info]
         if lacks:
@@ -144,6 +156,7 @@ class SocialNav(Task):
 
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
+        """Learned policy or expert of the robot, or scripted walk of the person; None for other names."""
         kind = episode.roster[number].kind
         if kind == "robot" and is_learned(name):
             network = network_of(name)
@@ -158,18 +171,22 @@ class SocialNav(Task):
         return None
 
     def check_policy(self, kind: str, name: str, spec: Any) -> None:
+        """Raises an `InputError` unless the name is a policy of the kind, or for robots a file of weights."""
         if kind == "robot" and is_learned(name):
             policy_by_name(name)
             return
         super().check_policy(kind, name, spec)
 
     def recorded_default(self, kind: str) -> str | None:
+        """Default policy of robots; jobs name none for people."""
         return self.defaults[kind] if kind == "robot" else None
 
     def set_rules(self, scenes: Any) -> SocialNavSpec:
+        """Default rules with the distance between starts that the scene set prescribes."""
         return SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
 
     def view(self, play: WorldPlay, agent: int, world: int) -> Any:
+        """Observation of a policy: a `SocialNavView` for the robot, an `AgentView` for the person."""
         if agent != ROBOT:
             return play.agent_view(agent, world)
         state: SocialNavState = play.memory
@@ -200,11 +217,13 @@ class SocialNav(Task):
         return None if track is None else partial(_after, track, step)
 
     def check_env_options(self, options: Mapping[str, Any]) -> None:
+        """Raises an `InputError` if ``reward`` is not the name of a reward profile."""
         if "reward" in options:
             check_profile(options["reward"])
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+        """Resets rewards, counters and the person's goals in the worlds ``rows`` [n]."""
         worlds = play.world.worlds
         if play.memory is None:
             reward = play.options.get("reward", "paper")
@@ -231,6 +250,7 @@ class SocialNav(Task):
             state.success[rows] |= worth.success[rows]
 
     def judge(self, play: WorldPlay) -> Outcome:
+        """Computes reward, success and end of a step, with an event when the person is first found."""
         state: SocialNavState = play.memory
         lost = not state.found[0]
         self._look(play)
@@ -272,9 +292,11 @@ class SocialNav(Task):
         return [(0, event) for event in events]
 
     def end_reason(self, play: WorldPlay, world: int) -> str:
+        """The only reason besides the time limit: ``collision``."""
         return "collision"
 
     def info_of(self, play: WorldPlay) -> dict[str, NDArray[Any]]:
+        """Distance, success, steps followed and contacts of each world, [W] each."""
         state: SocialNavState = play.memory
         assert state.rewards is not None
         return {
@@ -310,10 +332,12 @@ class SocialNav(Task):
 
     # --- recording ----------------------------------------------------------------------------------------------------
     def instruction(self, episode: Episode) -> str:
+        """The same instruction for all episodes."""
         del episode
         return "follow the person"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Policies, rules, starts and the person's goals for the recording's info."""
         spec, (robot, human) = episode.spec, episode.starts.tolist()
         info = {
             "policy": policies[ROBOT].name,
@@ -330,6 +354,7 @@ class SocialNav(Task):
         return info
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identifier derived from scene, bodies, seed, policies and rules; also from the goals where they are given."""
         digest = scene_attachment(episode.scene)[1]
         robot, human = episode.roster
         goals, partner = goals_of(episode), policies[HUMAN].name
@@ -339,9 +364,15 @@ class SocialNav(Task):
         return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
 
     def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
+        """Name of the robot's policy, and of the person's unless it is the default."""
         return [policies[ROBOT].name, *([] if policies[HUMAN].name == "waypoints" else [policies[HUMAN].name])]
 
     def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
+        """Choices as they are.
+
+        Raises:
+            InputError: a policy is chosen for a person who walks by a script.
+        """
         if chosen.get("human") is not None and "external" not in str(recording.episode.info.get("partner", "")):
             raise InputError(
                 "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out."
@@ -349,8 +380,11 @@ class SocialNav(Task):
         return chosen
 
     def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """The person's goals and the oracle's ``l`` follow from their whole plan, however long the episode lasted; of a
-        person without a script, from the track that they walked."""
+        """The person's goals, and the fewest steps ``l`` in which an oracle finds them.
+
+        Both follow from the person's whole plan, however long the episode lasted; for a person without a script, from
+        the track that they walked.
+        """
         assert isinstance(play, WorldPlay)
         info: dict[str, Any] = {"ended": play.ended}
         state: SocialNavState = play.memory
