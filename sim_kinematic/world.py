@@ -110,17 +110,18 @@ class World:
         person_radius_m: float = 0.25,
         solid: bool = False,
     ) -> None:
-        """
+        """Creates worlds without a floor; `place` puts the agents into their homes.
+
         Args:
-            roster: Who is there: robots, then people.
-            worlds: W.
-            base: How robots drive, as far as their own base does not say (`base_of`).
-            walker: How people walk.
-            person_radius_m: Radius of a person who drives.
-            solid: Whether people who drive slide along the discs of others, where those were before the step.
+            roster: agents of every world, robots first, then people.
+            worlds: number of worlds W.
+            base: limits of driving, where a robot's own base does not give them (`base_of`).
+            walker: gait and speed of people.
+            person_radius_m: radius of a person who is driven from outside.
+            solid: whether people who are driven slide along the discs of the other agents, at their positions before the step.
 
         Raises:
-            InputError: W is not at least 1.
+            InputError: W is less than 1.
         """
         if isinstance(worlds, bool) or not isinstance(worlds, int | np.integer) or worlds < 1:
             raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.")
@@ -161,8 +162,13 @@ class World:
         self._contact = _PairContacts(self.roster, self.pairs)
 
     def place(self, starts: Array, floors: Sequence[FreeSpace], rows: Rows | None = None) -> None:
-        """Put everybody at ``starts`` [n, A, 3] (x, z, heading), at rest, in the worlds ``rows`` [n] (default: all), each
-        on its map."""
+        """Puts all agents at rest at their starts, each world on its own floor.
+
+        Args:
+            starts: (x, z, heading) of each agent, [n, A, 3].
+            floors: free floor of each of the n worlds.
+            rows: numbers of these worlds (default: all).
+        """
         rows = np.arange(self.worlds) if rows is None else rows
         joints = [own.joints.shape[1] for own in self.state.robots]
         fresh = WorldState.zeros(len(rows), robots=len(joints), people=len(self.state.people), joints=joints)

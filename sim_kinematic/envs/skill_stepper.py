@@ -1,5 +1,8 @@
-"""One world of rearrangement, as an environment steps it: an action is a skill and lasts until the agent must choose again,
-or, on the lower layer, one step."""
+"""One world of rearrangement, stepped by an environment.
+
+On the upper layer an action is a skill, and a step of the environment lasts until the agent must choose again. On the
+lower layer it lasts one step of the simulation.
+"""
 
 from __future__ import annotations
 
@@ -61,23 +64,24 @@ class SkillStepper:
         human: str = HUMAN_BODY,
         options: Options = DEFAULTS,
     ) -> None:
-        """
+        """Opens scenes and agents of a rearrangement environment.
+
         Args:
-            task: Rearrangement.
-            scenes: As `EpisodeSource`.
-            agents: Who acts: ``robot``, ``human`` or both.
-            partner: What moves the other one: a partner or a robot policy by name, ``weights:FILE``, or a function of an
-                episode's seed that makes one. By default ``plan_pop_4`` beside a robot and ``complement`` beside a person.
-            level: ``high``: skills; ``low``: the robot's base velocity, arm joints and grip.
-            observations: Names in `sim_kinematic.policies.rearrange_observations.SENSES` and of pictures.
-            spec: The rules.
-            interrupts_when_close: Whether agents that act may choose anew at every step while the other is close.
-            robot: Body of the robot.
-            human: Body of the person.
-            options: Pictures and noise.
+            task: the task.
+            scenes: as for `EpisodeSource`.
+            agents: agents that act: ``robot``, ``human`` or both.
+            partner: policy of the other agent: the name of a partner or robot policy, ``weights:FILE``, or a function that
+                makes one from an episode's seed. By default ``plan_pop_4`` with a robot and ``complement`` with a person.
+            level: ``high``: actions are skills; ``low``: the robot's base velocity, arm joints and grip.
+            observations: names in `sim_kinematic.policies.rearrange_observations.SENSES` and of pictures.
+            spec: rules of the task.
+            interrupts_when_close: whether acting agents may choose again at every step while the other agent is close.
+            robot: body of the robot.
+            human: body of the person.
+            options: pictures and noise.
 
         Raises:
-            InputError: there is no such thing.
+            InputError: a name does not exist.
         """
         if not agents or not set(agents) <= set(KINDS) or len(set(agents)) < len(agents):
             raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.")
@@ -106,6 +110,7 @@ class SkillStepper:
 
     # --- spaces -------------------------------------------------------------------------------------------------------
     def observation_space(self, agent: str) -> Dict:
+        """Space of an agent's observations."""
         return self._sets[agent].space()
 
     def action_space(self, agent: str) -> Space[Any]:
@@ -116,6 +121,7 @@ class SkillStepper:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        """Samples the next episode and plays it until an agent that acts must choose."""
         del where
         episode = self.source.sample(int(seeds[0]), int(indices[0]))
         chosen: dict[str, Any] = {agent: External(interrupts_when_close=self._interrupts) for agent in self.agents}
@@ -134,8 +140,10 @@ class SkillStepper:
         return self._turns is not None and self._turns.over
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Gives agents that are `choosing` their actions and goes on until one of those outside must choose again, or to
-        the end. Actions of agents that are busy have no effect."""
+        """Plays until an agent that acts must choose again, or to the end of the episode.
+
+        Actions are given to the agents that are `choosing`; those of busy agents have no effect.
+        """
         play = self._playing()
         choosing = self.choosing
         chosen = {}
@@ -169,6 +177,7 @@ class SkillStepper:
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def observe(self, agent: str) -> Arrays:
+        """Observations of an agent, with a first axis of length 1."""
         play, own = self._begun(), self._sets[agent]
         shown = exact(play.view(KINDS.index(agent)), own.states)
         seen: Arrays = {name: values[None] for name, values in shown.items()}
@@ -177,6 +186,7 @@ class SkillStepper:
         return own.shown(seen, [play.episode.seed], [play.steps])
 
     def info(self, agent: str) -> Info:
+        """Facts about the last skill, the objects and the choices that are possible now."""
         play = self._begun()
         runner: AgentRun = play.runner(KINDS.index(agent))
         ending, ended = runner.ending, play.ended if self.is_over else ""
@@ -200,14 +210,17 @@ class SkillStepper:
         }
 
     def episode_info(self) -> Info:
+        """Scene and seed of the episode."""
         episode = self._begun().episode
         return {"scene": np.array([episode.scene.name], object), "episode_seed": np.array([episode.seed])}
 
     def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+        """Picture of the world for people who watch, uint8 [480, 640, 3]."""
         del world
         return watcher.picture(self._stage.posed(self._begun(), self._light), KINDS.index(agent))
 
     def describe(self) -> str:
+        """Task, scenes and agents in a few words."""
         models = {member.kind: member.model for member in self.source.roster}
         partner = self._partner if isinstance(self._partner, str) else "partner of its own"
         others = {kind: f"{model} ({partner})" for kind, model in models.items() if kind not in self.agents}

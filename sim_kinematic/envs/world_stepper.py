@@ -56,23 +56,24 @@ class WorldStepper:
         options: Options = DEFAULTS,
         **task_options: Any,
     ) -> None:
-        """
+        """Opens scenes and agents of an environment with W worlds.
+
         Args:
-            task: What is to be done.
-            scenes: As `EpisodeSource`.
-            agents: Names of the agents that act; the others follow ``partner``.
-            worlds: W.
-            spec: The rules (default: the task's).
-            roster: Who is there (default: the task's roster).
-            partner: Policy of the others, as `Task.assign` takes it (default: the task's).
-            observations: Names of sensors and pictures; each agent is shown its own of them.
-            robot: Body of robots named by their kind.
-            human: Body of people named by their kind.
-            options: Pictures and noise.
-            **task_options: For the task (`WorldPlay.options`).
+            task: the task.
+            scenes: as for `EpisodeSource`.
+            agents: names of the agents that act; the others follow ``partner``.
+            worlds: number of worlds W.
+            spec: rules (default: the task's).
+            roster: all agents of a world (default: the task's roster).
+            partner: policy of the agents that do not act, as `Task.assign` takes it (default: the task's).
+            observations: names of sensors and pictures; each agent gets those that its kind has.
+            robot: body of robots named by their kind.
+            human: body of people named by their kind.
+            options: pictures and noise.
+            **task_options: options of the task (`WorldPlay.options`).
 
         Raises:
-            InputError: there is no such thing.
+            InputError: a name does not exist.
         """
         self.source = EpisodeSource(task, scenes, spec=spec, agents=roster, robot=robot, human=human)
         self.task, self.spec = task, self.source.spec
@@ -98,6 +99,7 @@ class WorldStepper:
 
     # --- spaces -------------------------------------------------------------------------------------------------------
     def observation_space(self, agent: str) -> Dict:
+        """Space of an agent's observations in one world."""
         return self._sets[self.numbers[agent]].space()
 
     def action_space(self, agent: str) -> Space[Any]:
@@ -110,6 +112,7 @@ class WorldStepper:
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        """Samples episodes for the worlds ``where`` [W], then begins them together; a failure changes no world."""
         rows = np.flatnonzero(where) if self.play.episodes else np.arange(self.worlds)
         if not len(rows):
             return
@@ -131,6 +134,7 @@ class WorldStepper:
                     self._targets[k][w] = policy.target(self.play.world.state.agents[k].xz[w])
 
     def step(self, actions: Mapping[str, ArrayLike]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Applies the actions [W, n] of the agents that act, and lets the others follow their policies."""
         given = {
             self.numbers[agent]: checked_actions(action, (self.worlds, self._width(self.numbers[agent])))
             for agent, action in actions.items()
@@ -170,6 +174,7 @@ class WorldStepper:
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def observe(self, agent: str) -> Arrays:
+        """Observations of an agent in all worlds, [W, ...] each."""
         own = self._sets[self.numbers[agent]]
         moment = self._moment(self.numbers[agent])
         sensors = self.task.sensors(self.source.roster[self.numbers[agent]].kind)
@@ -179,21 +184,25 @@ class WorldStepper:
         return own.shown(exact, [episode.seed for episode in self.play.episodes], self.play.steps.tolist())
 
     def info(self, agent: str) -> Info:
+        """Facts of the task about all worlds (`Task.info_of`), the same for every agent."""
         del agent
         return self.task.info_of(self.play)
 
     def episode_info(self) -> Info:
+        """Scene and seed of the episode in each world, [W] each."""
         return {
             "scene": np.array([e.scene.name for e in self.play.episodes], object),
             "episode_seed": np.array([e.seed for e in self.play.episodes], np.int64),
         }
 
     def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+        """Picture of one world for people who watch, uint8 [480, 640, 3]."""
         if not self.play.episodes:
             raise InputError("No episode has begun. Hint: call reset() first.")
         return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:
+        """Task, scenes, agents and number of worlds in a few words."""
         models = {member.name: member.model for member in self.source.roster}
         acting = {name: models[name] for name in self.agents}
         beside = {name: model for name, model in models.items() if name not in acting}
