@@ -120,6 +120,8 @@ class Frame(NamedTuple):
 
 
 class Held(NamedTuple):
+    """Object in a person's hand."""
+
     name: str
     grip: Array
     """Pose of the object in the palm's frame."""
@@ -146,9 +148,16 @@ class Person:
         self, body: Humanoid, base_pose: ArrayLike, objects: Mapping[str, ArrayLike] | None = None, *,
         spec: WalkerSpec = PERSON_SPEC, free: FreeSpace | None = None, sizes: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
-        """``base_pose`` [7] is the agent root; ``objects`` are world poses [7] of what can be picked, by name. ``free`` is the
-        map, by which they draw in their arms where ``spec.arms`` says how. ``sizes`` are radii [m] that hands close around, by
-        name of the object; the default is `GRIP_M`."""
+        """Puts a person at a pose, standing still.
+
+        Args:
+            body: body of the person.
+            base_pose: pose of the agent root [7].
+            objects: world poses [7] of the objects that can be picked, by name.
+            spec: how the person walks.
+            free: free floor, by which the arms are folded in as ``spec.arms`` says.
+            sizes: radii of the grips of objects by name [m]; the default is `GRIP_M`.
+        """
         self.body, self.spec, self.free = body, spec, free
         self._drawn = HumanState.zeros(1)
         self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
@@ -177,8 +186,13 @@ class Person:
 
     # --- joints -----------------------------------------------------------------------------------------------------
     def set_pose(self, quats: ArrayLike, pelvis: ArrayLike, base_pose: ArrayLike | None = None) -> None:
-        """Local rotations [55, 4] (the pelvis' in the agent root frame) and the pelvis [3] [m], as `Humanoid.clip_pose`
-        returns them; the objects in the hands follow."""
+        """Sets the joints of the body; objects in the hands follow.
+
+        Args:
+            quats: local rotations [55, 4], that of the pelvis in the agent root frame, as `Humanoid.clip_pose` returns them.
+            pelvis: position of the pelvis in the agent root frame [3] [m].
+            base_pose: pose of the agent root [7] (default: unchanged).
+        """
         quats, pelvis = np.array(quats, np.float64), np.array(pelvis, np.float64)
         if quats.shape != (55, 4) or pelvis.shape != (3,):
             raise InputError(f"Expected rotations [55, 4] and a pelvis [3], got {quats.shape} and {pelvis.shape}.")
@@ -337,9 +351,14 @@ class Person:
         return SkillResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
 
     def lead(self, points: ArrayLike, advance: Callable[[int], bool], hand: Hand = "right") -> Skill:
-        """Take hold of a handle at the first of some world points [T, 3], lead it along the others as far as the arm reaches,
-        and take the hand back. ``advance(k)`` moves what is led to point k in the same step; where it says False, the hand
-        waits. What is led goes on by itself when the hand has let go."""
+        """Skill that grasps a handle, leads it along a path, and takes the hand back.
+
+        Args:
+            points: world points of the path [T, 3], the first at the handle; the hand follows them as far as the arm reaches.
+            advance: moves the part to point k in the same step; if it returns False, the hand waits. The part finishes its
+                motion after the hand has let go.
+            hand: which hand.
+        """
         local = self.seen(points)
         answer = reach(self.body, local[0], hand)
         if not answer.reached:
@@ -373,8 +392,10 @@ class Person:
         return inverse[:3] + quat_rotate(inverse[3:], np.asarray(position, np.float64))
 
     def hand_way(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
-        """The poses of a hand's way to a world position [3], in the agent root frame: of an empty one, as `pick` takes it, or
-        of one that holds something, as `place` does. Nothing moves."""
+        """Poses of the body while a hand moves to a world position [3], in the agent root frame.
+
+        An empty hand moves as in `pick`, one that holds something as in `place`. The person is not moved.
+        """
         target = self.seen(position)
         if full:
             return self._line(hand, np.stack([self._carry_point(hand), target]), (0.0, 1.0), (1.0, 1.0))[0]
@@ -433,8 +454,10 @@ class Person:
         self.transition = Transition("walk")
 
     def stride(self, gait: HumanState | None = None) -> None:
-        """One step of the feet while the root gets to where ``gait`` (one world) is, or stays where it is; hands that hold
-        something keep carrying it."""
+        """Makes one step of the feet while the root moves to ``gait`` (one world), or stays where it is.
+
+        Hands that hold something keep carrying it.
+        """
         if gait is not None:
             self.base = self.root_at(gait)
         self.walk.step(self.base)
@@ -452,8 +475,10 @@ class Person:
         self.transition = Transition()
 
     def show(self, kind: str, quats: Array, pelvis: Array) -> None:
-        """Take a pose of one kind of motion, blended over `FADE_STEPS` with the pose in which another kind was left; feet stay
-        where the walk has them."""
+        """Takes a pose of one kind of motion, blended over `FADE_STEPS` with the last pose of the kind before.
+
+        The feet stay where walking has put them.
+        """
         fade = self.transition
         if fade.kind != kind:
             fade = Transition(kind, self.bare, self.pelvis, 1.0)
@@ -503,8 +528,11 @@ class Person:
                 return
 
     def with_arms(self, quats: Array, moving: Hand | None = None) -> Array:
-        """Returns a pose [55, 4] with its arms drawn in by one step where there is little room; arms that hold something
-        and do not move keep carrying it, close to the body where there is little room."""
+        """Returns a pose [55, 4] with the arms folded in by one step where there is little room.
+
+        An arm that holds something and is not ``moving`` keeps carrying it, close to the body where there is little
+        room.
+        """
         quats = quats.copy()
         if self.free is not None and self.spec.arms is not None:
             self._drawn.xz[0], self._drawn.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])

@@ -62,8 +62,11 @@ class _Posture(NamedTuple):
 
 @dataclass(eq=False)
 class PersonActor:
-    """A person with two hands; the left one is for what the right one cannot. They heed those they see (``others``): a person
-    with one robot sees nobody, as Habitat's planners."""
+    """Person with skills, who uses the right hand, or the left one where the right one cannot reach.
+
+    The person gives way to the agents in ``others``. Alone with one robot it is empty, as people in Habitat do not give
+    way to robots.
+    """
 
     person: Person
     free: FreeSpace
@@ -98,22 +101,27 @@ class PersonActor:
 
     @property
     def is_robot(self) -> bool:
+        """False."""
         return False
 
     @property
     def footprint(self) -> Footprint:
+        """Space that other agents leave for a person."""
         return AVOIDANCE.person
 
     @property
     def path_start(self) -> NDArray | None:
+        """First point [2] of the path that the person walks; None without a path."""
         return self.path[0] if len(self.path) else None
 
     @property
     def xz(self) -> NDArray:
+        """Position on the floor [2] [m]."""
         return self.person.base[0:3:2].copy()
 
     @property
     def heading(self) -> float:
+        """Heading [rad]."""
         return float(heading_from_quat(self.person.base[3:]))
 
     @property
@@ -128,6 +136,7 @@ class PersonActor:
         return np.zeros(0)
 
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now; empty if it is possible."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         why = self.objects.why_not(self.number, action)
@@ -149,6 +158,7 @@ class PersonActor:
         return "" if any(self._reaches(stand, handle, hand) for hand in HANDS) else "out_of_reach"
 
     def start(self, action: Action) -> Skill:
+        """Begins a skill."""
         k = action.target
         self._goes_around |= self.turned_away
         self.turned_away = False
@@ -167,6 +177,7 @@ class PersonActor:
         return self._handle(k, None if action.skill == "pick" else self.objects.goals[k])
 
     def idle(self) -> None:
+        """Stands still for one step."""
         self._stand()
 
     def _wait(self, steps: int) -> Skill:
@@ -270,9 +281,11 @@ class PersonActor:
             yield
 
     def _walk(self, goal: NDArray, *, facing: float | None = None) -> Generator[None, None, int]:
-        """Walk to a floor point [2] without stopping on the way, turning on the spot where it turns (paper 3.1), or in curves
-        as `WalkerSpec.stride` says, which end towards the heading ``facing`` [rad]. Returns the steps for which they waited
-        for others at the end."""
+        """Walks to a floor point [2] without stopping.
+
+        The person turns on the spot at corners (paper 3.1), or walks curves as `WalkerSpec.stride` says, which end at
+        the heading ``facing`` [rad]. Returns the number of steps for which they waited for other agents at the end.
+        """
         if self.spec.stride is not None:
             return (yield from self._walk_curves(goal, facing))
         path = self._path(goal)
@@ -387,8 +400,11 @@ class PersonActor:
         return True
 
     def _shuffles(self, towards: NDArray) -> bool:
-        """Steps towards a floor point [2] without turning where turning would have touched others for long; returns whether it
-        did. Two people side by side in a corridor could neither turn nor walk."""
+        """Steps towards a floor point [2] without turning, where turning has been blocked for long.
+
+        Otherwise two people next to each other in a corridor could neither turn nor walk. Returns whether the person
+        moved.
+        """
         gait, before = self._gait_here(), self._posture()
         stopped, leg = gait.take([0]), towards - self.xz
         left = float(np.hypot(*leg))
@@ -417,8 +433,10 @@ class PersonActor:
         self._follow()
 
     def _pace(self, towards: NDArray | None) -> None:
-        """One step of walking towards a floor point [2], or of coming to a stand; where they would touch somebody they do not
-        get on."""
+        """Walks one step towards a floor point [2], or slows down to a stand.
+
+        A step that would touch another agent is not made.
+        """
         person, gait, before = self.person, self._gait_here(), self._posture()
         stopped, spec = gait.take([0]), self.spec if towards is None else self._setting_off(towards)
         for target in (gait.xz[0].copy() if towards is None else towards, gait.xz[0].copy()):
@@ -443,8 +461,10 @@ class PersonActor:
         return replace(self.spec, speed_mps=min(max(speed, CREEP_MPS), self.spec.speed_mps))
 
     def _careful(self, motion: Motion, patience: int = AVOIDANCE.patience_steps) -> Generator[None, None, SkillResult]:
-        """Do a motion, each step of it as soon as nobody is where it leads; after so many steps in which somebody was, take
-        back what was done of it, if nothing has come into their hands."""
+        """Carries out a motion, waiting at each step until no other agent is in the way.
+
+        After ``patience`` steps of waiting the motion is reversed and fails, unless it has changed what the hands hold.
+        """
         before, done, holding = self._posture(), [], tuple(self.person.held)
         self._trail.clear()
         while True:
@@ -547,8 +567,10 @@ class PersonActor:
         return bool(reacher(self.person.body, hand).reachable(seen[None])[0])
 
     def _has_room(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
-        """Whether the body keeps out of the home when a hand reaches for a point from a stand; yes where nobody looks, and
-        where it does not get there anyway."""
+        """Whether the body stays clear of the home while a hand reaches for a point from a stand.
+
+        It is True where bodies are not checked, and where the hand does not reach the point anyway.
+        """
         return self.room is None or not self._reaches(stand, point, hand) or self.room.is_clear(stand, point, hand)
 
     def _follow(self) -> None:

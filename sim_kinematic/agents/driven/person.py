@@ -72,6 +72,7 @@ class DrivenPerson(PersonActor):
 
     # --- what it can do -----------------------------------------------------------------------------------------------
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now, empty if it is possible; direct control always is."""
         k, skill = action.target, action.skill
         if skill == CONTROL:
             return ""
@@ -95,8 +96,10 @@ class DrivenPerson(PersonActor):
         return self._cannot_reach(self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k], k)
 
     def stand_for(self, point: ArrayLike) -> Array | None:
-        """Returns the nearest stand ``(x, z, heading)`` [3] from which a hand reaches a world point [3] [m] with room for the
-        body; None if there is none. It may take 50 ms."""
+        """Nearest pose ``(x, z, heading)`` [3] from which a hand reaches a world point [3] [m], with room for the body.
+
+        Returns None if there is none. The search may take 50 ms.
+        """
         point, held = np.asarray(point, np.float64), self.objects.held(self.number)
         hands: tuple[Hand, ...] = HANDS_TRIED if held < 0 else self._hands(held)
         for hand in hands:
@@ -135,12 +138,14 @@ class DrivenPerson(PersonActor):
 
     # --- skills -------------------------------------------------------------------------------------------------------
     def start(self, action: Action) -> Skill:
+        """Begins a skill; one step of direct control counts as a skill too."""
         if action.skill == CONTROL:
             assert isinstance(action.command, PersonCommand)
             return self._control(action.command)
         return self._after_standing(action)
 
     def idle(self) -> None:
+        """Stands still for one step, under direct control or as other people do."""
         if self._stirs:
             self._drive(STAND)
         else:
@@ -231,8 +236,11 @@ class DrivenPerson(PersonActor):
 
     # --- one step under a command -------------------------------------------------------------------------------------
     def _drive(self, command: PersonCommand) -> None:
-        """Moves the person by one step; nothing moves that would touch an agent that the person avoids. Where others are solid,
-        their discs decide, as where the player's page shows the person by then."""
+        """Moves the person by one step of direct control.
+
+        A motion that would touch an agent that the person avoids is not made. Where other agents are solid, contact is
+        decided by their discs at the places where the player's page shows them.
+        """
         self._drives, self.person.look_at = True, None
         gait, before = self._gait_here(), self._posture()
         self._lead(command)

@@ -39,8 +39,10 @@ def is_drawer(scene: Scene, instance: Instance) -> bool:
 
 
 def within_reach(scene: Scene, receptacle: str, point: Array) -> Reachable | None:
-    """A world point [3] on a receptacle (``instance|receptacle``) of a home, once what encloses it is open; None if that cannot
-    be opened."""
+    """World point [3] on a receptacle (``instance|receptacle``), once the doors and drawers around it are open.
+
+    Returns None if they cannot be opened.
+    """
     joints = joints_of(scene)
     needed = joints.enclosing.get(receptacle, ())
     if not needed:
@@ -58,8 +60,12 @@ def within_reach(scene: Scene, receptacle: str, point: Array) -> Reachable | Non
 def _opened(
     scene: Scene, needed: tuple[int, ...]
 ) -> tuple[Scene, Array, NDArray[np.float64], tuple[tuple[Openables, int], ...]] | None:
-    """The home with some parts open, the motions [J, 4, 4] of all parts, where the open ones stand, and the parts with the home
-    before each was opened; None if one of them is obstructed, the others being as the scene has them."""
+    """Home with some parts open.
+
+    Returns:
+        The home; the motions of all parts [J, 4, 4]; points on the open parts; and each opened part with the home before it
+        was opened. None if a part is obstructed while the others stand as the scene has them.
+    """
     joints = joints_of(scene)
     openables, before = openables_at(scene, joints.rest), list[tuple[Openables, int]]()
     for k in sorted(needed, key=lambda k: joints.parts[k][1].joint.kind == "prismatic"):  # doors first

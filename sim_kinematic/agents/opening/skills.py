@@ -1,5 +1,7 @@
-"""Skills at doors and drawers, for robots and people alike: what must hold before they begin, where to stand for them, and how
-a part moves while a hand leads it."""
+"""Skills at doors and drawers, for robots and people.
+
+They say what must hold before a skill begins, where to stand, and how a part moves while a hand leads it.
+"""
 
 from __future__ import annotations
 
@@ -52,8 +54,11 @@ def full_way(openables: Openables, k: int) -> NDArray[np.float64]:
 def stands_before(
     openables: Openables, k: int, stands: Array, offsets: Sequence[float], radius_m: float
 ) -> NDArray[np.bool_]:
-    """Which stands ``(x, z, heading)`` [N, 3] for a handle are before it, on either side of a door, and neither in the way of
-    its part nor in that of another that is open."""
+    """Which poses ``(x, z, heading)`` [N, 3] at a handle are suitable for moving its part.
+
+    Suitable poses are in front of the part, on either side of a door, and out of the sweep of this part and of other
+    parts that are open.
+    """
     joint = openables.joints.parts[k][1].joint
     ends = handle_way(openables, k, np.array([joint.closed, joint.opened]))
     outward = (ends[1] - ends[0])[[0, 2]]

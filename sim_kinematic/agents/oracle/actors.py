@@ -1,5 +1,7 @@
-"""Robots and people with the skills of `sim_kinematic.motion.spec.OracleSpec`. `h3data_training.torch.rearrange` is the same as
-tensors, line by line."""
+"""Robots and people with the oracle skills of `sim_kinematic.motion.spec.OracleSpec`.
+
+`h3data_training.torch.rearrange` is the same with tensors, line by line.
+"""
 
 from __future__ import annotations
 
@@ -98,9 +100,11 @@ class OracleRobot(RobotActor):
         self.avoids = False
 
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now; empty if it is possible."""
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
+        """Begins a primitive motion, direct control, waiting, or an oracle skill."""
         if action.skill in PRIMITIVES:
             return self._move(*PRIMITIVES[action.skill])
         if action.skill == CONTROL:
@@ -166,11 +170,13 @@ class OraclePerson(PersonActor):
         self._carry = np.append(carry_point(self.person.body), (0.0, 0.0, 0.0, 1.0))
 
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now, empty if it is possible; robots' primitives never are."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
+        """Begins waiting or an oracle skill."""
         if action.skill == "wait":
             return self._wait(max(action.steps, 1))
         errand = self.errands.of(action, self.objects.poses)
@@ -276,6 +282,7 @@ class DiscContacts(AgentContactTracker):
         self._radius_m = radius_m
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
+        """False: with oracle skills no agent gives way to another."""
         del me, other
         return False
 

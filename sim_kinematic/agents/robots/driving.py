@@ -100,14 +100,17 @@ class RobotDriver:
 
     @property
     def is_robot(self) -> bool:
+        """True."""
         return True
 
     @property
     def xz(self) -> NDArray:
+        """Position on the floor [2] [m]."""
         return self.state.xz[0]
 
     @property
     def heading(self) -> float:
+        """Heading [rad]."""
         return float(self.state.heading[0])
 
     @property
@@ -123,6 +126,7 @@ class RobotDriver:
 
     @property
     def path_start(self) -> NDArray | None:
+        """First point [2] of the path that the robot drives; None without a path."""
         return self._start
 
     def _announce(self, via: NDArray, goal: NDArray) -> None:
@@ -136,6 +140,7 @@ class RobotDriver:
 
     @property
     def joints(self) -> NDArray:
+        """Joint positions [J]."""
         return self.state.joints[0]
 
     @property
@@ -166,6 +171,7 @@ class RobotDriver:
         self.free = free
 
     def idle(self) -> None:
+        """Stands still for one step."""
         self._step(0.0, 0.0)
 
     def _move(self, forward: float, turn: float, steps: int) -> Skill:
@@ -337,8 +343,10 @@ class RobotDriver:
         return float(wrap_angle(np.arctan2(-dz, dx) - bearing - self.heading))
 
     def _seen(self) -> list[Seen]:
-        """The others that are near enough for `keep_clear`; one that holds something has not settled, however long it has been
-        standing."""
+        """Other agents that are near enough for `keep_clear`.
+
+        One that holds something counts as moving, however long it has been standing.
+        """
         xz, near = self.xz.tolist(), []
         for other in self.others:
             if math.dist(xz, other.xz.tolist()) <= AVOIDANCE.range_m + other.footprint.extent_m:
