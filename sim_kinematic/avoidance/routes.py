@@ -76,8 +76,10 @@ class FloorRoutes:
         return FloorRoutes(free, np.asarray(free.origin, np.float64), centres, free.signed_distance(centres))
 
     def flood(self, start: NDArray, discs: NDArray) -> Flood:
-        """Finds all paths from ``start`` [2] that keep out of ``discs`` ``(x, z, radius)`` [N, 3]; those in which it starts
-        may be left."""
+        """Distances and shortest paths from ``start`` [2] to all of the floor outside of some discs.
+
+        The discs are ``(x, z, radius)`` [N, 3]; a path may lead out of discs that contain the start.
+        """
         cell = AVOIDANCE.cell_m
         discs = np.array(discs, np.float64).reshape(-1, 3)
         gaps = np.hypot(*(discs[:, :2] - start).T)

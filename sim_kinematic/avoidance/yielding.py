@@ -37,16 +37,20 @@ class Body(Protocol):
     """An agent on the floor."""
 
     @property
-    def is_robot(self) -> bool: ...
+    def is_robot(self) -> bool:
+        """Whether the agent is a robot; otherwise it is a person."""
 
     @property
-    def xz(self) -> NDArray[np.float64]: ...
+    def xz(self) -> NDArray[np.float64]:
+        """Position on the floor [2] [m]."""
 
     @property
-    def heading(self) -> float: ...
+    def heading(self) -> float:
+        """Heading [rad]."""
 
     @property
-    def footprint(self) -> Footprint: ...
+    def footprint(self) -> Footprint:
+        """Space that other agents leave for this one."""
 
 
 def discs_of(body: Body) -> NDArray[np.float64]:
@@ -124,8 +128,10 @@ def shut_off(
     *,
     radius_m: float = AVOIDANCE.person.radius_m,
 ) -> NDArray[np.bool_]:
-    """Whether those who stand shut every way from ``xz`` [2] to each of some floor points [N, 2], [N]. ``radius_m`` is one's
-    own."""
+    """Which floor points [N, 2] cannot be reached from ``xz`` [2] because standing agents block all paths, [N].
+
+    ``radius_m`` is the radius of the agent that moves.
+    """
     if not len(places):
         return np.zeros(0, np.bool_)
     discs = np.concatenate([np.zeros((0, 3)), *(discs_of(other) for other in others if stands(other))])
