@@ -59,13 +59,14 @@ def weights_hint(name: str) -> str:
 
 
 def stamped(policy: str) -> str:
-    """The name of a policy as it is recorded: of a file of weights with 12 digits of its digest, ``weights:FILE@digest``, and
-    the light that it is shown, if that is another than it has learned in, ``weights:FILE@digest@baked``.
+    """Name of a policy as recordings hold it, which identifies its exact weights.
 
-    Such a name means these very weights; other policies keep their names.
+    For a file of weights it is ``weights:FILE@digest``, with 12 digits of the file's digest. If the policy sees its
+    colours in another light than in training, the light follows, as in ``weights:FILE@digest@baked``. Other names are
+    unchanged.
 
     Raises:
-        InputError: there is no such file, it is none, or it is another than the name says.
+        InputError: the file does not exist, is no policy, or differs from the digest in the name.
     """
     if not policy.startswith(PREFIX):
         return policy
@@ -81,8 +82,10 @@ def network_light(network: AnyNetwork) -> LightMode | None:
 
 
 def in_light(policy: str, light: LightMode | None) -> str:
-    """The name of a policy that is shown colours in this light; None leaves it the light that it has learned in. Policies
-    that see no colours keep their names."""
+    """Name of a policy that sees its colours in the given light.
+
+    None means the light of its training. Policies without colours keep their names.
+    """
     if light is None or not is_learned(policy) or network_light(network_of(policy)) is None:
         return policy
     return stamped(f"{_without_light(policy)[0]}@{light}") if policy.startswith(PREFIX) else policy
@@ -95,11 +98,13 @@ def _without_light(policy: str) -> tuple[str, LightMode | None]:
 
 
 def network_of(policy: str) -> AnyNetwork:
-    """The network that ``weights:FILE``, ``weights:FILE@digest`` or a name of `SHIPPED` means; of a file with ``@baked`` or
-    ``@flat`` at the end the one that is shown colours in this light, whatever it has learned in.
+    """Loads the network that a name means: ``weights:FILE``, ``weights:FILE@digest``, or a name in `SHIPPED`.
+
+    With ``@baked`` or ``@flat`` at the end, the network sees its colours in this light, whatever that of its training
+    was.
 
     Raises:
-        InputError: there is no such file, it is none, or it is another than the name says.
+        InputError: the file does not exist, is no policy, or differs from the digest in the name.
     """
     bare, light = _without_light(policy)
     name = str(builtin_path(SHIPPED[policy])) if policy in SHIPPED else bare.removeprefix(PREFIX)
@@ -198,17 +203,20 @@ class LearnedNavigation:
 
 
 class PicturedNavigation:
-    """A robot of social navigation that sees and remembers: the recurrent state is its own, so there is one for each
-    episode. An action is held for as many steps as in training."""
+    """Learned robot policy of social navigation, with pictures and a recurrent memory.
+
+    Each episode needs a policy of its own. An action is repeated for as many steps as in training.
+    """
 
     def __init__(self, network: PicturedNetwork, *, robot: str = "") -> None:
-        """
+        """Checks that the network fits the robot.
+
         Args:
-            network: The policy.
-            robot: Body that it drives; empty where nobody says.
+            network: the policy.
+            robot: name of the robot's body; empty if unknown.
 
         Raises:
-            FormatError: it is for another task or another robot.
+            FormatError: the network is for another task or another robot.
         """
         require(network, "social_nav", {**pictured.PICTURES, **pictured.ENCODINGS}, outputs=2)
         if robot and robot != network.card.robot:

@@ -20,11 +20,20 @@ TASK = "rearrange"
 
 
 class LearnedChooser:
-    """Chooses the action with the highest output. If it is shown ``interrupted``, it thinks again in every step while the other
-    agent is close, and goes on with what it was doing by choosing the same."""
+    """Policy that chooses the action with the highest output of a network.
+
+    If ``interrupted`` is among its observations, it chooses at every step while the other agent is close, and continues
+    what it is doing by choosing the same action.
+    """
 
     def __init__(self, network: Network, objects: int = 2, *, robot: bool = True) -> None:
-        """
+        """Checks that the network fits the agent.
+
+        Args:
+            network: the policy.
+            objects: number of objects of the task.
+            robot: whether the agent is a robot; otherwise it is a person.
+
         Raises:
             FormatError: the network is for another task, another number of objects or the other agent.
         """

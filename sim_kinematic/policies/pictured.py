@@ -152,10 +152,12 @@ class PicturedNetwork:
 
     @property
     def task(self) -> str:
+        """Name of the task that the policy was trained for."""
         return self.card.task
 
     @property
     def observations(self) -> tuple[str, ...]:
+        """Names of the observations that the policy needs."""
         return self.card.observations
 
     @property
@@ -199,8 +201,15 @@ class PicturedNetwork:
         return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """The action [n] and the next state [H] for observations by name, the last action [n] (0 at the start) and the
-        state [H].
+        """Evaluates the policy for one step.
+
+        Args:
+            shown: observations by name.
+            last: last action [n], 0 at the start.
+            state: recurrent state [H].
+
+        Returns:
+            The action [n] and the next state [H].
 
         Raises:
             InputError: an observation is missing or has another shape.
@@ -387,9 +396,12 @@ class CardedNetwork(Protocol):
     """A network that is kept in a policy file."""
 
     @property
-    def card(self) -> PolicyCard: ...
+    def card(self) -> PolicyCard:
+        """Description of the policy: its task, observations and training."""
+
     @property
-    def arrays(self) -> Mapping[str, Floats]: ...
+    def arrays(self) -> Mapping[str, Floats]:
+        """Weights by name."""
 
 
 Kind = TypeVar("Kind", bound=CardedNetwork)

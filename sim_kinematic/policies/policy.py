@@ -104,6 +104,7 @@ class FunctionPolicy:
         self.__name__ = getattr(function, "__name__", type(function).__name__)
 
     def act(self, view: Any) -> Any:
+        """Choice for the next step."""
         return self._function(view, self._base)
 
 
@@ -111,5 +112,6 @@ class Still:
     """Does nothing; lower-bound baseline."""
 
     def act(self, view: Any) -> Velocity:
+        """A velocity of 0."""
         del view
         return Velocity(0.0, 0.0)

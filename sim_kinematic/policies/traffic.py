@@ -59,10 +59,12 @@ class Stroller(PersonActor):
 
     @property
     def xz(self) -> NDArray:
+        """Position on the floor [2] [m]."""
         return self.figure.gait.xz[0].copy()
 
     @property
     def heading(self) -> float:
+        """Heading [rad]."""
         return self.figure.gait.heading.item(0)
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
@@ -100,14 +102,17 @@ class ClipFigure:
 
     @property
     def base(self) -> Array:
+        """Pose of the agent root [7]."""
         return root_pose(self.body, self.gait.xz[0], self.gait.heading.item(0), self._free)
 
     @property
     def quats(self) -> Array:
+        """Local rotations of the joints [55, 4]."""
         return self._pose()[0]
 
     @property
     def pelvis(self) -> Array:
+        """Position of the pelvis in the agent root frame [3] [m]."""
         return self._pose()[1]
 
     @property

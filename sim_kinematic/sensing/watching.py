@@ -29,8 +29,11 @@ BETTER = 0.25
 
 
 class Watcher:
-    """Follows one agent of one world. It keeps looking from the same side of the world until walls or furniture hide the
-    agent, then from the one that shows most of it."""
+    """Camera that follows one agent of one world.
+
+    It looks from the same side of the world until walls or furniture hide the agent, then changes to the side from
+    which most of the agent is visible.
+    """
 
     def __init__(self) -> None:
         self._side = -1

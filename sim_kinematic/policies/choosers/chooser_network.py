@@ -100,8 +100,9 @@ def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> t
 def encoded(
     shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int, observations: tuple[str, ...] = OBSERVATIONS
 ) -> tuple[Floats, Floats]:
-    """Inputs of each object [K, F] and the rest [R], float32, from observations by name; the last columns of both tell which
-    choice has been interrupted.
+    """Inputs of the network from observations by name: those of each object [K, F] and the rest [R], float32.
+
+    The last columns of both mark the choice that has been interrupted.
 
     Raises:
         InputError: an observation is missing or has another length.
@@ -150,10 +151,12 @@ class ChooserNetwork:
 
     @property
     def task(self) -> str:
+        """Name of the task that the policy was trained for."""
         return self.card.task
 
     @property
     def observations(self) -> tuple[str, ...]:
+        """Names of the observations that the policy needs."""
         return self.card.observations
 
     @property

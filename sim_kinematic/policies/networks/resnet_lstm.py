@@ -30,8 +30,10 @@ LEAST_SIDE = 8
 
 
 class _Norm(nn.GroupNorm):
-    """Keeps the precision of its input, with sums of 32 bits: autocast would return 32 bits, which everything up to the next
-    convolution would then read and write."""
+    """Group normalisation that keeps the precision of its input, with sums of 32 bits.
+
+    Autocast would return 32 bits, which everything up to the next convolution would then have to read and write.
+    """
 
     def forward(self, input: Tensor) -> Tensor:
         if input.dtype == torch.float32:
@@ -80,6 +82,7 @@ class ResNet18(nn.Module):
         self.out = nn.Linear(squeezed * places, features)
 
     def forward(self, x: Tensor) -> Tensor:
+        """Features [n, F] of pictures [n, 1 or 3, H, W]."""
         x = F.max_pool2d(F.relu(self.norm(self.first(F.avg_pool2d(x, 2)))), 3, 2, 1)
         for block in self.blocks:
             x = block(x)
@@ -131,8 +134,10 @@ class ResNetLSTM(nn.Module):
 
 
 def pixels_of(picture: Tensor) -> Tensor:
-    """Depth or uint8 colours [n, H, W, planes] as the network is given them, [n, planes, H, W]: half precision, in which a
-    device keeps the pictures of whole rollouts."""
+    """Converts depth or uint8 colours [n, H, W, planes] to the network's input [n, planes, H, W] in half precision.
+
+    Devices store the pictures of whole rollouts in this form.
+    """
     seen = picture.float() if picture.shape[-1] == 1 else picture.float() / 255
     return seen.permute(0, 3, 1, 2).half()
 

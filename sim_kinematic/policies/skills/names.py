@@ -19,16 +19,18 @@ SHIPPED = tuple(f"policies/{task}.npz" for task in TASKS)
 
 
 def recorded_skills(skills: str) -> str:
-    """The names of skills as recordings hold them: files of weights with the digests of what is in them, commas between;
-    ``learned@`` and one digest of all three for those that come with the package.
+    """Names of learned skills as recordings hold them.
+
+    They are files of weights with the digests of their contents, separated by commas; or ``learned@`` and one digest of
+    all three for the skills that ship with the package.
 
     Args:
-        skills: `LEARNED`, the folder of a training run, a folder of such folders or of policy files, policy files with commas
-            between them, or what this returns. Empty: none.
+        skills: `LEARNED`, the folder of a training run, a folder of such folders or of policy files, policy files separated
+            by commas, or an earlier result of this function. Empty means none.
 
     Raises:
-        InputError: there is no such file, it is none of a skill, two are for the same skill, or it is another than the name
-            says.
+        InputError: a file does not exist, holds no skill, or differs from the digest in its name; or two files are for the
+            same skill.
     """
     if not skills:
         return ""

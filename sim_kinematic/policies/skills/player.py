@@ -27,14 +27,15 @@ class NetworkSkill:
     """One learned skill of a robot, played by a network; each time it starts, its recurrent state begins anew."""
 
     def __init__(self, network: PicturedNetwork, *, robot: str = "", rules: SkillSpec | None = None) -> None:
-        """
+        """Checks that the network fits the robot.
+
         Args:
-            network: The policy.
-            robot: Body that it moves; empty where nobody says.
-            rules: Of the skills.
+            network: the policy.
+            robot: name of the robot's body; empty if unknown.
+            rules: rules of learned skills.
 
         Raises:
-            FormatError: it is for another task or robot, or is shown what skills are not shown.
+            FormatError: the network is for another task or robot, or needs observations that skills do not have.
         """
         card = network.card
         if card.task not in TASKS:
