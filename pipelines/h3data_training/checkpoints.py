@@ -60,7 +60,8 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
 class PlainSettings(Length, Protocol):
     """Settings of a run, whose class has defaults for all of them."""
 
-    def as_dict(self) -> dict[str, Any]: ...
+    def as_dict(self) -> dict[str, Any]:
+        """All settings by name, as plain values."""
 
 
 def to_go_on(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any] | None:

@@ -22,7 +22,8 @@ LOOK_S = 0.5
 class Stop(Protocol):
     """Whether somebody asked to stop; `threading.Event` is one."""
 
-    def is_set(self) -> bool: ...
+    def is_set(self) -> bool:
+        """Whether the run should stop."""
 
 
 Work = Callable[[Any, Stop, Callable[[str], None]], Any]

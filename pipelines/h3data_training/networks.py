@@ -64,12 +64,16 @@ def critic_numbers(shown: Shown, over: Tensor, names: tuple[str, ...]) -> Tensor
 
 
 def critic_length(settings: Settings) -> int:
+    """Number of inputs of the critic: its observations, and whether the episode is over."""
     return sum(lengths(name, settings.actions)[1] for name in settings.critic) + 1
 
 
 def picture(seen: Tensor) -> Tensor:
-    """Squares of pixels as channels, of depth near things in more detail: [n, H, W, planes] -> [n, 16 planes, H / 4, W / 4],
-    half precision, in which the depth of rollouts of 4,096 worlds takes 0.8 GB."""
+    """Moves squares of 4 x 4 pixels into channels: [n, H, W, planes] -> [n, 16 planes, H / 4, W / 4].
+
+    Depth is rescaled so that near distances have more detail. The result has half precision, in which the depth of
+    rollouts of 4,096 worlds takes 0.8 GB.
+    """
     scaled = seen.sqrt() if seen.shape[-1] == 1 else seen.float() / 255
     return F.pixel_unshuffle(scaled.permute(0, 3, 1, 2).half(), PATCH)
 
@@ -111,6 +115,7 @@ class ActorCritic(nn.Module):
         return last
 
     def std(self) -> Tensor:
+        """Standard deviation of the exploration noise, for each component of an action."""
         return self.log_std.exp().clamp_min(self.least_std)
 
     def pixels(self, seen: Tensor) -> Tensor:
@@ -208,15 +213,19 @@ class ResNetActorCritic(ActorCritic):
         return self.actor.act
 
     def pixels(self, seen: Tensor) -> Tensor:
+        """Pictures in the form that the network takes."""
         return pixels_of(seen)
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
+        """Features [n, F] of pixels and numbers."""
         return self.actor.features(pixels, numbers)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Output and next state of the recurrent layers."""
         return self.actor.remember(x, state)
 
     def head(self, known: Tensor, numbers: Tensor) -> Tensor:
+        """Mean of the action, from the output of the recurrent layers."""
         return self.actor.act(known)
 
     def _named(self) -> dict[str, Any]:

@@ -90,9 +90,10 @@ def train(
 
 
 def require_light(settings: Settings, device: str) -> None:
-    """
+    """Checks that pictures can be rendered in the light of the settings.
+
     Raises:
-        InputError: the device has no such light.
+        InputError: the device does not support this light.
     """
     if settings.light != "flat" and not device.startswith("cpu"):
         raise InputError(f"On {device} colours are in flat light. Hint: --light flat, or --device cpu for baked light.")

@@ -163,6 +163,7 @@ class Settings:
 
     @property
     def decisions_per_update(self) -> int:
+        """Number of decisions in the rollouts of one update."""
         return self.worlds * self.rollout
 
     def second_stage(self) -> Settings:

@@ -174,6 +174,7 @@ class Generate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Simulates the episodes and returns their number and the dataset's size."""
         from h3data.metrics import measure_many
         from h3data.recording import Dataset, DatasetWriter
 

@@ -64,19 +64,32 @@ class EpisodeRequest(Protocol):
     """Which episodes a command plays: those of a file, or of scenes."""
 
     @property
-    def episodes_file(self) -> Path | None: ...
+    def episodes_file(self) -> Path | None:
+        """File with the episodes; None if they are sampled in ``scenes``."""
+
     @property
-    def scenes(self) -> str: ...
+    def scenes(self) -> str:
+        """Scenes, as the option ``--scenes`` names them."""
+
     @property
-    def homes(self) -> int: ...
+    def homes(self) -> int:
+        """Number of homes of a preset."""
+
     @property
-    def assets(self) -> Sequence[str | Path]: ...
+    def assets(self) -> Sequence[str | Path]:
+        """Folders and files in which assets are searched."""
+
     @property
-    def allow_missing(self) -> bool: ...
+    def allow_missing(self) -> bool:
+        """Whether scenes may lack assets."""
+
     @property
-    def episodes(self) -> int | None: ...
+    def episodes(self) -> int | None:
+        """Number of episodes; None for all of a file or set."""
+
     @property
-    def seed(self) -> int: ...
+    def seed(self) -> int:
+        """Seed of the first episode."""
 
 
 def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: str) -> FileJobs:

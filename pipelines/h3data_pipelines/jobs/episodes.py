@@ -59,8 +59,10 @@ class Job:
     """Which episode of which set or file it is; ends up in the recording."""
 
     def to_json(self) -> dict[str, Any]:
-        """Everything that decides the episode, as JSON gives it back; a stored one is known by its ``origin``. Fields that are
-        not set are left out."""
+        """Everything that determines the episode, as JSON types.
+
+        A stored episode is identified by its ``origin``. Fields that are not set are left out.
+        """
         from sim_kinematic.tasks.episode import rules_dict
 
         apart = ("stored", "origin", "task")
@@ -260,9 +262,10 @@ class Draw:
 def check_numbers(
     *, episodes: int | None, homes: int, max_steps: int | None, seed: int, human_speed: float | None
 ) -> None:
-    """
+    """Checks the numbers among the options of a job.
+
     Raises:
-        InputError: a number cannot be; the message names its option.
+        InputError: a number is out of range; the message names its option.
     """
     for name, value, least in (
         ("--episodes", episodes, 1), ("--homes", homes, 1), ("--max-steps", max_steps, 1), ("--seed", seed, 0),

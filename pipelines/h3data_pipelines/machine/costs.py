@@ -45,6 +45,7 @@ class Costs:
     """An episode in a dataset."""
 
     def to_json(self) -> dict[str, Any]:
+        """All costs by name, for JSON."""
         return asdict(self)
 
     @classmethod

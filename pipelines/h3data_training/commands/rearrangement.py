@@ -1,5 +1,7 @@
-"""``h3data train rearrange``: the upper layer of rearrangement beside a population of partners, on CPU cores or in
-worlds on a device."""
+"""``h3data train rearrange``: trains the upper layer of rearrangement with a population of partners.
+
+Episodes are played on CPU cores, or in batched worlds on a device.
+"""
 
 from __future__ import annotations
 

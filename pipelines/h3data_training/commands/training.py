@@ -1,5 +1,8 @@
-"""``h3data train``: learns social navigation from pictures, on a GPU or, in small, on a CPU, the skills of a robot, and
-rearrangement beside populations of partners, on CPU cores or in worlds on a device."""
+"""``h3data train``: trains policies of social navigation, a robot's skills, and rearrangement.
+
+Social navigation and skills are learned from pictures, on a GPU or on a small scale on a CPU; rearrangement is learned
+with populations of partners, on CPU cores or in batched worlds on a device.
+"""
 
 from __future__ import annotations
 
@@ -137,6 +140,7 @@ class Train:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Trains the policy and returns where its weights are and how well it does."""
         if self.resume and self.force:
             raise InputError("Expected --resume (go on) or --force (begin anew), got both.")
         if self.stop_after is not None and not self.stop_after > 0:

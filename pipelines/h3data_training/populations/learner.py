@@ -183,8 +183,10 @@ class ChooserLearner:
 
 
 def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *, lam: float) -> Tensor:
-    """Generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths [D], so many in each of E
-    episodes."""
+    """Generalised advantage estimates (Schulman et al. 2016) of decisions of different lengths, [D].
+
+    ``counts`` are the numbers of decisions in each of E episodes.
+    """
     found = gain + discount * value.roll(-1) - value  # after the last of an episode the discount is 0
     at, valid = chunks_of(counts, int(counts.max()))
     rows, kept = found[at] * valid, discount[at] * valid * lam
@@ -194,8 +196,11 @@ def advantages(gain: Tensor, discount: Tensor, value: Tensor, counts: Tensor, *,
 
 
 def chunks_of(counts: Tensor, length: int) -> tuple[Tensor, Tensor]:
-    """Chunks of consecutive decisions of E episodes, with ``counts`` [E] decisions in each: their numbers [length, C], and
-    which of them there are, bool. The last chunk of an episode may be shorter; its last number is then repeated."""
+    """Splits the decisions of E episodes into chunks of consecutive ones.
+
+    Returns the numbers of the decisions [length, C], and which of them exist, bool. The last chunk of an episode may be
+    shorter; its last number is then repeated. ``counts`` [E] are the numbers of decisions in each episode.
+    """
     chunks = (counts + length - 1) // length
     ends = counts.cumsum(0)
     end = ends.repeat_interleave(chunks)

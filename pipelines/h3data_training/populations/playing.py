@@ -154,8 +154,11 @@ def log_softmax(scores: Floats) -> Floats:
 
 
 def discounted(rewards: Floats, steps: Sequence[int], gamma: float) -> tuple[Floats, NDArray[np.int64]]:
-    """The reward between each decision at some ``steps`` [D] and the next one, discounted to the first step of these, [D], and
-    how many steps that are; several decisions may be made at one step, then all but the last gain nothing."""
+    """Discounted reward between each decision and the next one [D], and the number of steps between them.
+
+    Decisions are made at ``steps`` [D], and rewards are discounted to these. Several decisions may be made at one step;
+    all but the last of them then have no reward.
+    """
     edges = np.append(steps, len(rewards))
     gains = [float(rewards[a:b] @ gamma ** np.arange(b - a)) for a, b in pairwise(edges)]
     return np.array(gains), np.diff(edges)

@@ -1,5 +1,6 @@
-"""Choosers of worlds on a device: one network or several as tensors, step for step
-`sim_kinematic.policies.choosers.recurrent_chooser`.
+"""Skill policies for worlds on a device: one network or several as tensors.
+
+Each step is that of `sim_kinematic.policies.choosers.recurrent_chooser`.
 """
 
 from __future__ import annotations
@@ -199,8 +200,10 @@ def _inputs(name: str, seen: Tensor) -> Tensor:
 
 
 def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Scores [P, N, C] and the next states [P, N, H] of P networks in N worlds each, as `ChooserNetwork.__call__`, for inputs
-    [P, N, K, F] and [P, N, R] and states."""
+    """Scores [P, N, C] and next states [P, N, H] of P networks in N worlds each, as `ChooserNetwork.__call__`.
+
+    Inputs are [P, N, K, F] for objects, [P, N, R] for the rest, and the states.
+    """
 
     def layer(name: str, x: Tensor, kind: str = "") -> Tensor:
         weight, bias = arrays[f"{name}.weight{kind}"], arrays[f"{name}.bias{kind}"]

@@ -1,5 +1,7 @@
-"""Batched worlds of a skill for training: an action is held for some steps and a picture taken after the last, all in one CUDA
-graph."""
+"""Batched worlds of a skill for training.
+
+An action is repeated for some steps and pictures are taken after the last, all in one CUDA graph.
+"""
 
 from __future__ import annotations
 
