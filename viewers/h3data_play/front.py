@@ -88,20 +88,22 @@ class Front:
         journal: Journal | None = None, seats_per_address: int = SEATS_PER_ADDRESS, behind_proxy: bool = False,
         hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
     ) -> None:  # fmt: skip
-        """
+        """Sets up the server; it starts with its web application.
+
         Args:
-            plan: What is played.
-            workers: Processes beside the spare one.
-            tables: Games at once, of plans with one player.
-            open_door: Whether ``/`` leads to the seat of the only player, else every seat has a link with a secret.
-            secure: Whether browsers come through TLS: cookies are then for TLS only.
-            report: Called with what the command line tells its user.
-            plans: What orders of games refer to by number (default: ``plan`` alone).
-            journal: Seats and games (default: those of the plan's folder).
-            seats_per_address: Seats at once of one network address.
-            behind_proxy: Whether the address is the one that the proxy names (``X-Forwarded-For``).
-            hosts: Names by which browsers may reach it beside loopback and addresses; ``*.example.org`` has any first label.
-            clock: Seconds since some moment, by which it is told who has been away for long.
+            plan: session that is played.
+            workers: number of worker processes, besides the spare one.
+            tables: number of simultaneous games, for plans with one player.
+            open_door: whether ``/`` leads to the seat of the only player; otherwise every seat has a secret link.
+            secure: whether browsers connect through TLS: cookies are then for TLS only.
+            report: called with messages for the user of the command line.
+            plans: plans to which orders of games refer by number (default: ``plan`` alone).
+            journal: journal of seats and games (default: the one in the plan's folder).
+            seats_per_address: number of simultaneous seats for one network address.
+            behind_proxy: whether the address is the one that a proxy names (``X-Forwarded-For``).
+            hosts: names by which browsers may reach the server, besides loopback and addresses; ``*.example.org`` has any first
+                label.
+            clock: clock in seconds by which long absences are measured.
         """
         self.plan, self.secure, self.report, self.clock = plan, secure, report, clock
         self.tables = tables if len(plan.players) == 1 else 1

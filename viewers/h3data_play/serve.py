@@ -1,5 +1,7 @@
-"""The front as a process: ``python -m h3data_play.serve`` reads one JSON object from stdin and reports JSON lines on
-stdout. ``h3data play`` starts it."""
+"""The web server as a process, started by ``h3data play``.
+
+``python -m h3data_play.serve`` reads one JSON object from stdin and reports JSON lines on stdout.
+"""
 
 from __future__ import annotations
 
@@ -57,11 +59,13 @@ class PlayServeOptions(ServeOptions, frozen=True, kw_only=True):
     tables: int = 1
 
     def front(self, **given: Any) -> Front:
+        """Server of the session."""
         return Front(self.plan, tables=self.tables, **given)
 
 
 def require_safe(options: ServeOptions) -> None:
-    """
+    """Checks that a server that others can reach uses TLS or a proxy.
+
     Raises:
         Refused: others could listen on the network.
     """

@@ -124,17 +124,18 @@ class StudyFront(Front):
         report: Callable[[dict[str, Any]], None] = lambda _: None, seats_per_address: int = SEATS_PER_ADDRESS,
         behind_proxy: bool = False, hosts: Sequence[str] = (), clock: Callable[[], float] = uptime,
     ) -> None:  # fmt: skip
-        """
+        """Sets up the server; it starts with its web application.
+
         Args:
-            study: What is played, by whom.
-            workers: Processes beside the spare one.
-            open_door: Whether ``/`` is the study's page, else its link has a secret.
-            secure: Whether browsers come through TLS.
-            report: Called with what the command line tells its user.
-            seats_per_address: Participants at once of one network address.
-            behind_proxy: As of `Front`.
-            hosts: As of `Front`.
-            clock: As of `Front`.
+            study: design and plan of the study.
+            workers: number of worker processes, besides the spare one.
+            open_door: whether ``/`` is the study's page; otherwise its link has a secret.
+            secure: whether browsers connect through TLS.
+            report: called with messages for the user of the command line.
+            seats_per_address: number of simultaneous participants for one network address.
+            behind_proxy: as for `Front`.
+            hosts: as for `Front`.
+            clock: as for `Front`.
         """
         self.study, self.design = study, study.design
         super().__init__(
@@ -156,6 +157,7 @@ class StudyFront(Front):
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
+        """Web application with the study's pages besides those of live play."""
         app = super().application()
         for prefix in ("", "/s/{key}"):
             app.router.add_post(prefix + "/api/study", self.hello)

@@ -16,6 +16,7 @@ class StudyServeOptions(ServeOptions, frozen=True, kw_only=True):
     study: StudyPlan
 
     def front(self, **given: Any) -> StudyFront:
+        """Server of the study."""
         return StudyFront(self.study, **given)
 
 
