@@ -91,6 +91,7 @@ class ReachResult:
 
     @property
     def reached(self) -> bool:
+        """Whether the point can be reached."""
         return self.status == "reached"
 
 
