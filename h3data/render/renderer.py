@@ -75,9 +75,9 @@ class Renderer:
         Args:
             scene: the scene.
             light: light; default `Light()`.
-            backend: ``cpu`` (rasteriser, NumPy arrays), ``gpu`` (CUDA, torch tensors that stay on the device), ``rays`` (Embree,
-                NumPy arrays) or ``auto``: ``gpu`` if there is one, else ``cpu``. With ``auto`` on a GPU, cast shadows and
-                non-perspective cameras are rendered on the CPU and copied to the device.
+            backend: ``cpu`` (rasteriser, NumPy arrays), ``gpu`` (CUDA, torch tensors that stay on the device), ``rays``
+                (Embree, NumPy arrays) or ``auto``: ``gpu`` if there is one, else ``cpu``. With ``auto`` on a GPU, cast
+                shadows and non-perspective cameras are rendered on the CPU and copied to the device.
             worlds: number of worlds.
             threads: number of threads that render a batch on the CPU.
 
