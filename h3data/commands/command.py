@@ -98,9 +98,11 @@ class Command(Protocol):
     @property
     def json(self) -> bool:
         """Whether the command prints its result as JSON instead of text."""
+        ...
 
     def run(self) -> Outcome:
         """Runs the command and returns its result, which the command line prints."""
+        ...
 
 
 @dataclass(frozen=True)

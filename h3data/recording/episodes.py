@@ -110,6 +110,7 @@ class HasEpisodes(Protocol):
 
     def all(self) -> Episodes:
         """All episodes, in the order in which they are stored."""
+        ...
 
 
 class Episodes(Sequence[Recording]):

@@ -62,6 +62,7 @@ class PlainSettings(Length, Protocol):
 
     def as_dict(self) -> dict[str, Any]:
         """All settings by name, as plain values."""
+        ...
 
 
 def to_go_on(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any] | None:

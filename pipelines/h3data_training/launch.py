@@ -24,6 +24,7 @@ class Stop(Protocol):
 
     def is_set(self) -> bool:
         """Whether the run should stop."""
+        ...
 
 
 Work = Callable[[Any, Stop, Callable[[str], None]], Any]

@@ -32,6 +32,7 @@ class Worlds(Protocol):
     @property
     def counts(self) -> tuple[str, ...]:
         """Names of the sums that `step` returns, the reward first."""
+        ...
 
     @property
     def play(self) -> Any:
@@ -40,6 +41,7 @@ class Worlds(Protocol):
 
     def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Begins episodes in all worlds; returns the actor's observations and those of the critic."""
+        ...
 
     def held(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
         """Moves all worlds by an action [W, A].

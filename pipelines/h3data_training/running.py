@@ -24,10 +24,12 @@ class Length(Protocol):
     @property
     def updates(self) -> int:
         """Number of updates of the run."""
+        ...
 
     @property
     def minutes(self) -> float:
         """Time limit of the run [min]."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)

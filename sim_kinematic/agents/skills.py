@@ -123,6 +123,7 @@ class Actor(Protocol):
 
     def start(self, action: Action) -> Skill:
         """Begins an action; the skill that is returned advances by one step at each iteration."""
+        ...
 
     def idle(self) -> None:
         """One step of doing nothing."""
@@ -138,6 +139,7 @@ class LearnedSkill(Protocol):
 
     def start(self, actor: Any, action: Action) -> Skill:
         """Begins an action; the skill that is returned advances by one step at each iteration."""
+        ...
 
 
 @dataclass(eq=False)

@@ -39,18 +39,22 @@ class Body(Protocol):
     @property
     def is_robot(self) -> bool:
         """Whether the agent is a robot; otherwise it is a person."""
+        ...
 
     @property
     def xz(self) -> NDArray[np.float64]:
         """Position on the floor [2] [m]."""
+        ...
 
     @property
     def heading(self) -> float:
         """Heading [rad]."""
+        ...
 
     @property
     def footprint(self) -> Footprint:
         """Space that other agents leave for this one."""
+        ...
 
 
 def discs_of(body: Body) -> NDArray[np.float64]:

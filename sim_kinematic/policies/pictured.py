@@ -398,10 +398,12 @@ class CardedNetwork(Protocol):
     @property
     def card(self) -> PolicyCard:
         """Description of the policy: its task, observations and training."""
+        ...
 
     @property
     def arrays(self) -> Mapping[str, Floats]:
         """Weights by name."""
+        ...
 
 
 Kind = TypeVar("Kind", bound=CardedNetwork)

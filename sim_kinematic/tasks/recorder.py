@@ -52,12 +52,15 @@ class Sink(Protocol):
 
     def skill(self, span: SkillSpan) -> int:
         """Appends a skill, running or ended, and returns its number."""
+        ...
 
     def input(self, event: InputEvent) -> Any:
         """Appends raw input of an agent that is controlled from outside."""
+        ...
 
     def close(self, *, info: dict[str, Any]) -> object:
         """Completes the recording with the entries of info that are known only at the end."""
+        ...
 
     def abort(self) -> None:
         """Ends the recording early; what was written so far stays readable."""

@@ -66,30 +66,37 @@ class EpisodeRequest(Protocol):
     @property
     def episodes_file(self) -> Path | None:
         """File with the episodes; None if they are sampled in ``scenes``."""
+        ...
 
     @property
     def scenes(self) -> str:
         """Scenes, as the option ``--scenes`` names them."""
+        ...
 
     @property
     def homes(self) -> int:
         """Number of homes of a preset."""
+        ...
 
     @property
     def assets(self) -> Sequence[str | Path]:
         """Folders and files in which assets are searched."""
+        ...
 
     @property
     def allow_missing(self) -> bool:
         """Whether scenes may lack assets."""
+        ...
 
     @property
     def episodes(self) -> int | None:
         """Number of episodes; None for all of a file or set."""
+        ...
 
     @property
     def seed(self) -> int:
         """Seed of the first episode."""
+        ...
 
 
 def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: str) -> FileJobs:

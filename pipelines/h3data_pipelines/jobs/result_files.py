@@ -26,6 +26,7 @@ class EpisodeJob(Protocol):
     @property
     def base(self) -> Job:
         """Episode to play."""
+        ...
 
     def to_json(self) -> dict[str, Any]:
         """Everything that decides the results; they have it as ``job``, with the number of the episode in ``episode``."""

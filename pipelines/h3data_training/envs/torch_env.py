@@ -30,25 +30,31 @@ class Playing(Protocol):
     @property
     def episode(self) -> Tensor:
         """Number of each world's episode in the bank, int64 [W]."""
+        ...
 
     @property
     def ended(self) -> Tensor:
         """Whether each world's episode is over, bool [W]."""
+        ...
 
     @property
     def reward(self) -> Tensor:
         """Reward of the last step [W]."""
+        ...
 
     @property
     def terminated(self) -> Tensor:
         """Whether the rules have ended the episode, bool [W]."""
+        ...
 
     @property
     def truncated(self) -> Tensor:
         """Whether the time limit has ended the episode, bool [W]."""
+        ...
 
     def tensors(self) -> Any:
         """All tensors of the state, in a fixed order."""
+        ...
 
 
 P = TypeVar("P", bound=Playing)

@@ -36,14 +36,17 @@ class Floor(Protocol):
     @property
     def sdf(self) -> NDArray[np.float32]:
         """Signed distances of the floor's grid [m], negative in obstacles."""
+        ...
 
     @property
     def origin(self) -> NDArray[np.float64]:
         """Position (x, z) of the grid [m]."""
+        ...
 
     @property
     def cell_m(self) -> float:
         """Size of the grid's cells [m]."""
+        ...
 
 
 def refuse_stairs(floors: Iterable[FreeSpace], *, home: str = "them") -> None:

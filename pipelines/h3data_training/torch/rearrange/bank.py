@@ -36,6 +36,7 @@ class BankFloor(Floor, Protocol):
     @property
     def floor_y(self) -> float:
         """Height of the floor [m]."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
