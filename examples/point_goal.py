@@ -24,7 +24,7 @@ from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.sensing.sensor import gps_compass
 from sim_kinematic.sensing.table import SENSORS, Sensor
-from sim_kinematic.tasks.episode import Episode, Outcome, TaskSpec
+from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec
 from sim_kinematic.tasks.play import WorldPlay
 from sim_kinematic.tasks.task import Task
 
@@ -80,7 +80,7 @@ class PointGoal(Task):
         play.memory["left"][rows] = self._distance(play)[rows]
         play.memory["done"][rows] = False
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldPlay) -> StepOutcome:
         """Progress along the shortest path is rewarded, disturbing costs, arriving ends the episode."""
         memory, spec, (robot, *people) = play.memory, play.spec, play.world.state.agents
         left, before = self._distance(play), memory["left"]
@@ -90,7 +90,7 @@ class PointGoal(Task):
             (int(w), Event(step=int(play.steps[w]) - 1, agent=0, kind="arrived")) for w in np.flatnonzero(arrived)
         ]
         memory["left"], memory["done"] = left, memory["done"] | arrived
-        return Outcome(
+        return StepOutcome(
             reward=before - left - 0.1 * disturbs + 10.0 * arrived,
             terminated=arrived,
             success=memory["done"],

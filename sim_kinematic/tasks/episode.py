@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import InputError, suggest
 from h3data.geometry import Array
+from h3data.moved import refuse_renamed
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, WALKERS, BaseSpec, WalkerSpec
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 MAX_STEPS = 1_000_000
 """Longest episode that is simulated again: nine hours."""
@@ -74,7 +78,7 @@ def agent_floor(episode: Episode, number: int) -> FreeSpace:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class StepOutcome:
     """The judgement of one step in W worlds, each array [W]."""
 
     reward: NDArray[np.float64]

@@ -22,7 +22,7 @@ from sim_kinematic.policies.policy import KeptMoment, PaceTo, StrideTo, Towards
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.policies.waypoints import WaypointPolicy
-from sim_kinematic.tasks.episode import Episode, Outcome, agent_floor
+from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor
 from sim_kinematic.world import Command, Drive, Keep, Pace, Posture, Stride, WalkTo, World
 
 Columns = dict[str, NDArray[Any]]
@@ -43,6 +43,7 @@ class Play(Protocol):
     @property
     def episode(self) -> Episode:
         """The episode that is played."""
+        ...
 
     @property
     def step(self) -> int:
@@ -89,14 +90,17 @@ class Rules(Protocol):
     def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun."""
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldPlay) -> StepOutcome:
         """Returns reward, end and events of the step that all worlds have just made."""
+        ...
 
     def view(self, play: WorldPlay, agent: int, world: int) -> Any:
         """Returns the observation of an agent's policy in one world."""
+        ...
 
     def end_reason(self, play: WorldPlay, world: int) -> str:
         """Returns the word recorded in ``info["ended"]`` for an episode that the rules have ended."""
+        ...
 
 
 class WorldPlay:
@@ -138,7 +142,7 @@ class WorldPlay:
         """Steps of the episode so far, [W]."""
         self.memory: Any = None
         """The task's own state."""
-        self.outcome = Outcome(
+        self.outcome = StepOutcome(
             reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
         )
         self.policies: list[AssignedPolicy] = []
@@ -164,7 +168,7 @@ class WorldPlay:
         self.steps[rows] = 0
         self.task.begin(self, rows)
 
-    def advance(self, commands: Sequence[Command]) -> Outcome:
+    def advance(self, commands: Sequence[Command]) -> StepOutcome:
         """Moves all worlds one step and judges it.
 
         Raises:
@@ -361,15 +365,15 @@ class WorldPlay:
         return columns
 
 
-def checked_outcome(task: Rules, outcome: Any, worlds: int) -> Outcome:
+def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:
     """The outcome, if its arrays are [W], finite, and of the declared columns.
 
     Raises:
         H3DataError: they are not: a fault of the task, which the message names with the field.
     """
     who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
-    if not isinstance(outcome, Outcome):
-        raise H3DataError(f"{who} must return an Outcome, got {type(outcome).__name__}.")
+    if not isinstance(outcome, StepOutcome):
+        raise H3DataError(f"{who} must return a StepOutcome, got {type(outcome).__name__}.")
     for name in ("reward", "terminated", "success"):
         values = np.asarray(getattr(outcome, name))
         if values.shape != (worlds,):

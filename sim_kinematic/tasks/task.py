@@ -24,7 +24,7 @@ from sim_kinematic.motion.randomness import generator
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign, check_policy, make_policy
 from sim_kinematic.policies.policy import Still, Velocity
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, TaskSpec, rules_dict
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, TaskSpec, rules_dict
 from sim_kinematic.tasks.play import Play, WorldPlay
 from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
 
@@ -48,7 +48,7 @@ class Task:
     profile: ClassVar[str] = ""
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
     columns: ClassVar[Mapping[str, Any]] = {}
-    """dtype of each column in `Outcome.columns`."""
+    """dtype of each column in `StepOutcome.columns`."""
     records_judgement: ClassVar[bool] = True
     """Whether each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
@@ -123,13 +123,13 @@ class Task:
     def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``."""
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldPlay) -> StepOutcome:
         """Judges the step that all worlds have just made.
 
         By default nothing is rewarded and an episode lasts ``max_steps``.
         """
         worlds = play.world.worlds
-        return Outcome(
+        return StepOutcome(
             reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
         )
 

@@ -16,7 +16,7 @@ from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.tasks.episode import Episode, Outcome, rules_dict
+from sim_kinematic.tasks.episode import Episode, StepOutcome, rules_dict
 from sim_kinematic.tasks.play import WorldPlay
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.task import Task
@@ -58,7 +58,7 @@ class Wander(Task):
         """Forgets all contacts, so that agents who touch at the start cause an event."""
         play.memory = np.zeros_like(play.world.touching)  # who touched whom a step ago
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldPlay) -> StepOutcome:
         """Reports each new contact between two agents as an event; rewards are 0 and the rules end no episode."""
         world = play.world
         events = [
@@ -68,7 +68,7 @@ class Wander(Task):
         ]
         play.memory = world.touching.copy()
         nothing = np.zeros(world.worlds, np.bool_)
-        return Outcome(reward=np.zeros(world.worlds), terminated=nothing, success=nothing, events=events)
+        return StepOutcome(reward=np.zeros(world.worlds), terminated=nothing, success=nothing, events=events)
 
     def instruction(self, episode: Episode) -> str:
         """The same instruction for all episodes."""

@@ -33,7 +33,7 @@ from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, p
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, agent_base, agent_floor, rules_dict
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, agent_base, agent_floor, rules_dict
 from sim_kinematic.tasks.play import Play, WorldPlay
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps
@@ -249,7 +249,7 @@ class SocialNav(Task):
             worth = state.rewards.reset(self._encounter(play), where=fresh)
             state.success[rows] |= worth.success[rows]
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldPlay) -> StepOutcome:
         """Computes reward, success and end of a step, with an event when the person is first found."""
         state: SocialNavState = play.memory
         lost = not state.found[0]
@@ -262,7 +262,7 @@ class SocialNav(Task):
             reward, ends = worth.reward, worth.ends
         else:
             reward, ends = np.zeros(play.world.worlds), state.collides & play.spec.end_on_collision
-        return Outcome(
+        return StepOutcome(
             reward=reward,
             terminated=ends,
             success=state.success,
