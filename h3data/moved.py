@@ -28,7 +28,16 @@ MOVED = {
 """New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
 
 RENAMED = {
+    "sim_kinematic.policies.policy.KeptMoment": "RecordedPose",
+    "sim_kinematic.policies.policy.PaceTo": "GaitAction",
+    "sim_kinematic.policies.policy.StrideTo": "PoseAction",
+    "sim_kinematic.policies.policy.Towards": "WaypointAction",
     "sim_kinematic.tasks.episode.Outcome": "StepOutcome",
+    "sim_kinematic.world.Drive": "DriveCommand",
+    "sim_kinematic.world.Keep": "RecordedPoseCommand",
+    "sim_kinematic.world.Pace": "GaitCommand",
+    "sim_kinematic.world.Stride": "PoseCommand",
+    "sim_kinematic.world.WalkTo": "WaypointCommand",
 }
 """New name, in the same module, of each public object that was renamed. The module calls `refuse_renamed`."""
 

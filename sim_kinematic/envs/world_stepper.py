@@ -25,7 +25,7 @@ from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.play import WorldPlay
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
-from sim_kinematic.world import Command, Drive, Pace, Stride, WalkTo
+from sim_kinematic.world import Command, DriveCommand, GaitCommand, PoseCommand, WaypointCommand
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
@@ -141,7 +141,9 @@ class WorldStepper:
         }
         if not self.play.episodes:
             raise InputError("No episode has begun. Hint: call reset() first.")
-        commands = [Drive(given[k]) if k in given else self._other_command(k) for k in range(len(self.source.roster))]
+        commands = [
+            DriveCommand(given[k]) if k in given else self._other_command(k) for k in range(len(self.source.roster))
+        ]
         outcome = self.play.advance(commands)
         ends = outcome.terminated
         if self._options.end_on_success:
@@ -154,23 +156,25 @@ class WorldStepper:
         if scripted and self.spec.human.stride is not None:
             walkers = [self._walkers[w][k] for w in range(self.worlds)]
             moves = np.array([who.stride(own.xz[w], own.heading.item(w)) for w, who in enumerate(walkers)])
-            return Stride(moves[:, :2], moves[:, 2])
+            return PoseCommand(moves[:, :2], moves[:, 2])
         if scripted:  # only those who have arrived need a new way point
             gap = self._targets[k] - own.xz
             for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):
                 self._targets[k][w] = self._walkers[w][k].target(own.xz[w])
-            return WalkTo(self._targets[k])
+            return WaypointCommand(self._targets[k])
         choices = [self._walkers[w][k].act(self.task.view(self.play, k, w)) for w in range(self.worlds)]
         if hasattr(choices[0], "gait"):
             gait = HumanState.zeros(self.worlds)
             for w, choice in enumerate(choices):
                 gait.put([w], choice.gait)
-            return Pace(gait)
+            return GaitCommand(gait)
         if hasattr(choices[0], "heading"):
-            return Stride(np.array([choice.xz for choice in choices]), np.array([choice.heading for choice in choices]))
+            return PoseCommand(
+                np.array([choice.xz for choice in choices]), np.array([choice.heading for choice in choices])
+            )
         if hasattr(choices[0], "xz"):
-            return WalkTo(np.array([choice.xz for choice in choices]))
-        return Drive(np.array([[choice.forward, choice.turn] for choice in choices]))
+            return WaypointCommand(np.array([choice.xz for choice in choices]))
+        return DriveCommand(np.array([[choice.forward, choice.turn] for choice in choices]))
 
     # --- what is shown ------------------------------------------------------------------------------------------------
     def observe(self, agent: str) -> Arrays:

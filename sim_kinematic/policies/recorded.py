@@ -14,7 +14,7 @@ from h3data.errors import InputError
 from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action
-from sim_kinematic.policies.policy import KeptMoment, Velocity
+from sim_kinematic.policies.policy import RecordedPose, Velocity
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
 
@@ -175,12 +175,12 @@ class RecordedTrack:
         """Positions after each step, [T, 2] [m]."""
         return self._xz
 
-    def act(self, view: Any) -> KeptMoment:
+    def act(self, view: Any) -> RecordedPose:
         """Recorded pose and motion clip of this step."""
         step = view.step
         clip, phase, blend = (array[step] for array in self._motion)
         left, right = self._arms[step].tolist()
-        return KeptMoment(
+        return RecordedPose(
             self._xz[step], float(self._heading[step]), int(clip), float(phase), float(blend), (left, right)
         )
 

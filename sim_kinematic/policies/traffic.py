@@ -26,7 +26,7 @@ from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.contact.frames import root_pose, walking_phase
 from sim_kinematic.motion.spec import ArmRoomSpec
 from sim_kinematic.motion.state import HumanState, WorldState
-from sim_kinematic.policies.policy import PaceTo, Velocity
+from sim_kinematic.policies.policy import GaitAction, Velocity
 from sim_kinematic.world import World
 
 ARRIVED_M = 0.3
@@ -78,9 +78,9 @@ class Stroller(PersonActor):
         assert isinstance(own, HumanState)
         self._gait = self.figure.gait = own.take([0])
 
-    def choice(self) -> PaceTo:
+    def choice(self) -> GaitAction:
         """The step that the person has just made."""
-        return PaceTo(self.figure.gait)
+        return GaitAction(self.figure.gait)
 
     def _posture(self) -> Any:
         return self.figure.gait.take([0])

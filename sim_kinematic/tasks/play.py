@@ -18,12 +18,21 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.policy import KeptMoment, PaceTo, StrideTo, Towards
+from sim_kinematic.policies.policy import GaitAction, PoseAction, RecordedPose, WaypointAction
 from sim_kinematic.policies.traffic import Traffic
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.tasks.episode import Episode, StepOutcome, agent_floor
-from sim_kinematic.world import Command, Drive, Keep, Pace, Posture, Stride, WalkTo, World
+from sim_kinematic.world import (
+    Command,
+    DriveCommand,
+    GaitCommand,
+    PoseCommand,
+    Posture,
+    RecordedPoseCommand,
+    WaypointCommand,
+    World,
+)
 
 Columns = dict[str, NDArray[Any]]
 
@@ -275,21 +284,21 @@ class WorldPlay:
 
     def _command(self, number: int, choice: Any) -> Command:
         """A choice for one agent of the only world; velocities are rounded to float32, as they are recorded."""
-        if isinstance(choice, Towards):
-            return WalkTo(choice.xz[None])
-        if isinstance(choice, StrideTo):
-            return Stride(choice.xz[None], np.array([choice.heading]))
-        if isinstance(choice, PaceTo):
-            return Pace(choice.gait)
-        if isinstance(choice, KeptMoment):
+        if isinstance(choice, WaypointAction):
+            return WaypointCommand(choice.xz[None])
+        if isinstance(choice, PoseAction):
+            return PoseCommand(choice.xz[None], np.array([choice.heading]))
+        if isinstance(choice, GaitAction):
+            return GaitCommand(choice.gait)
+        if isinstance(choice, RecordedPose):
             posture = Posture(
                 np.array([choice.clip]), np.array([choice.phase]), np.array([choice.blend]), np.array([choice.arms])
             )
-            return Keep(choice.xz[None], np.array([choice.heading]), posture)
+            return RecordedPoseCommand(choice.xz[None], np.array([choice.heading]), posture)
         if not hasattr(choice, "forward"):
             who = self.world.roster[number].name
-            raise InputError(f"Expected {who} to choose a Velocity or Towards, got {choice!r}.")
-        return Drive(np.array([[choice.forward, choice.turn]], np.float32).astype(np.float64))
+            raise InputError(f"Expected {who} to choose a Velocity or WaypointAction, got {choice!r}.")
+        return DriveCommand(np.array([[choice.forward, choice.turn]], np.float32).astype(np.float64))
 
     def finish(self) -> None:
         """Nothing goes on: the recorder reads skills off their columns."""
@@ -304,7 +313,7 @@ class WorldPlay:
             (x, z), heading = own.xz[0].tolist(), own.heading.item(0)  # Python floats: half the time of NumPy's
             if isinstance(own, RobotState):
                 command = self._commands[k]
-                forward, turn = command[0][0, :2].tolist() if isinstance(command, Drive) else (0.0, 0.0)
+                forward, turn = command[0][0, :2].tolist() if isinstance(command, DriveCommand) else (0.0, 0.0)
                 code = words.index(self._words[k]) if self._words[k] in words else -1
                 numbers += (x, z, heading, own.contact.item(0), forward, turn, code)
             else:
