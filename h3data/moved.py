@@ -32,6 +32,7 @@ RENAMED = {
     "sim_kinematic.policies.policy.PaceTo": "GaitAction",
     "sim_kinematic.policies.policy.StrideTo": "PoseAction",
     "sim_kinematic.policies.policy.Towards": "WaypointAction",
+    "sim_kinematic.sensing.table.Moment": "SensorContext",
     "sim_kinematic.tasks.episode.Outcome": "StepOutcome",
     "sim_kinematic.world.Drive": "DriveCommand",
     "sim_kinematic.world.Keep": "RecordedPoseCommand",

@@ -20,7 +20,7 @@ from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
-from sim_kinematic.sensing.table import PAIR_SENSORS, Moment
+from sim_kinematic.sensing.table import PAIR_SENSORS, SensorContext
 from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.play import WorldPlay
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
@@ -244,14 +244,14 @@ class WorldStepper:
             for k, own, limits in zip(numbers, chosen, states, strict=True)
         }
 
-    def _moment(self, k: int) -> Moment:
+    def _moment(self, k: int) -> SensorContext:
         world = self.play.world
         kinds = [member.kind for member in world.roster]
         other = next((n for n, kind in enumerate(kinds) if kind != kinds[k]), (k + 1) % len(kinds))
         now, before = world.state.agents, world.before.agents
         mine = [p for p, pair in enumerate(world.pairs) if k in pair]
 
-        return Moment(
+        return SensorContext(
             self.spec,
             world.bases[k],
             self.play.memory,
