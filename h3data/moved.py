@@ -28,6 +28,7 @@ MOVED = {
 """New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
 
 RENAMED = {
+    "sim_kinematic.agents.skills.Ending": "SkillResult",
     "sim_kinematic.policies.policy.KeptMoment": "RecordedPose",
     "sim_kinematic.policies.policy.PaceTo": "GaitAction",
     "sim_kinematic.policies.policy.StrideTo": "PoseAction",

@@ -1,7 +1,7 @@
 """A person under control, at three levels: joints (`Person.set_pose`), a hand's target (`Person.reach_to`), and skills.
 
 Skills are generators. Each ``next`` is one step of 1/30 s, after which the person's pose and the objects in the hands hold the
-new moment; the generator's return value is a `SkillResult`. `run` plays one to its end and keeps the frames:
+new moment; the generator's return value is a `MotionResult`. `run` plays one to its end and keeps the frames:
 
 ```python
 person = Person(load_humanoid("female_1"), ground_pose([0, 0], 0.0), {"mug": mug_pose})
@@ -91,7 +91,7 @@ PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkillResult:
+class MotionResult:
     """How a skill ended."""
 
     success: bool
@@ -103,7 +103,7 @@ class SkillResult:
     """Where to stand instead (see `Person.approach`); None when that does not help either."""
 
 
-Skill = Generator[object, None, SkillResult]
+Skill = Generator[object, None, MotionResult]
 
 
 class Frame(NamedTuple):
@@ -243,7 +243,7 @@ class Person:
         for _ in range(round(seconds / STEP_S)):
             self.stride()
             yield
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def turn(self, heading: float, *, settles: bool = True) -> Skill:
         """Turn on the spot by steps until the heading [rad] is reached; if it ``settles``, both feet end where they belong."""
@@ -256,7 +256,7 @@ class Person:
             yield
         if settles:
             yield from self.settle()
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def settle(self) -> Generator[None, None, None]:
         """Step until both feet stand where they belong; nothing if they do, or if the root was put elsewhere."""
@@ -289,17 +289,17 @@ class Person:
                 if state.blend[0] == 0:
                     break
         yield from self.settle()
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def approach(self, position: ArrayLike, hand: Hand = "right") -> Skill:
         """Walk, in a straight line, to where the hand reaches a world position [3]."""
         result = reach(self.body, self.seen(position), hand)
         if result.base_motion is None:
-            return SkillResult(success=False, reason=result.status, hand_error_m=result.hand_error_m)
+            return MotionResult(success=False, reason=result.status, hand_error_m=result.hand_error_m)
         goal = result.base_motion.of(self.base)
         yield from self.walk_to(goal[[0, 2]])
         yield from self.turn(float(heading_from_quat(goal[3:])))
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def pick(self, name: str, hand: Hand = "right") -> Skill:
         """Move a hand on a straight line to an object, take it, and bring it to where it is carried."""
@@ -321,7 +321,7 @@ class Person:
         if error > SNAP_M:
             self.look_at = None
             yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
-            return SkillResult(success=False, reason="missed", hand_error_m=error)
+            return MotionResult(success=False, reason="missed", hand_error_m=error)
         heading = quat_from_heading(-heading_from_quat(self.base[3:]))
         self.held = {other: held for other, held in self.held.items() if held.name != name}  # from the other hand
         self.held[hand] = Held(
@@ -330,7 +330,7 @@ class Person:
         self.look_at = None
         yield from self._move(hand, np.stack([target, self._carry_point(hand)]), ends=(1.0, 0.0), arms=(1.0, 1.0))
         yield from self._take_close(hand)
-        return SkillResult(success=True, hand_error_m=error)
+        return MotionResult(success=True, hand_error_m=error)
 
     def place(self, position: ArrayLike, hand: Hand = "right") -> Skill:
         """Put what a hand holds down at a world position [3], upright as it stood, and take the hand back."""
@@ -348,7 +348,7 @@ class Person:
         self.look_at = None
         error = float(np.linalg.norm(self.objects[held.name][:3] - np.asarray(position, np.float64)))
         yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
-        return SkillResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
+        return MotionResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
 
     def lead(self, points: ArrayLike, advance: Callable[[int], bool], hand: Hand = "right") -> Skill:
         """Skill that grasps a handle, leads it along a path, and takes the hand back.
@@ -383,7 +383,7 @@ class Person:
         self._closing.pop(hand, None)
         self.look_at = None
         yield from self._move(hand, self._way_out(hand, local[held - 1])[::-1], ends=(1.0, 0.0))
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     # --- how ---------------------------------------------------------------------------------------------------------
     def seen(self, position: ArrayLike) -> Array:
@@ -575,7 +575,7 @@ class Person:
         return self._carry_arms[hand]
 
 
-def run(person: Person, skill: Skill) -> tuple[list[Frame], SkillResult]:
+def run(person: Person, skill: Skill) -> tuple[list[Frame], MotionResult]:
     """Play a skill to its end: a frame after each step, and how it ended."""
     frames = []
     while True:
@@ -586,8 +586,8 @@ def run(person: Person, skill: Skill) -> tuple[list[Frame], SkillResult]:
         frames.append(person.frame())
 
 
-def _unreached(answer: ReachResult) -> SkillResult:
-    return SkillResult(
+def _unreached(answer: ReachResult) -> MotionResult:
+    return MotionResult(
         success=False, reason=answer.status, hand_error_m=answer.hand_error_m, base_motion=answer.base_motion
     )
 

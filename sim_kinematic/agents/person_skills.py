@@ -17,10 +17,10 @@ from h3data.geometry import Array, heading_from_quat
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.opening.openables import Openables, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
-from sim_kinematic.agents.person import Person, SkillResult, Transition
+from sim_kinematic.agents.person import MotionResult, Person, Transition
 from sim_kinematic.agents.person import Skill as Motion
 from sim_kinematic.agents.person_clearance import ReachRoom
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Objects, Skill, SkillResult
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
@@ -184,7 +184,7 @@ class PersonActor:
         for _ in range(steps):
             self._stand()
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _hands(self, k: int) -> tuple[Hand, ...]:
         """The hand that holds an object, else both in the order in which they are tried."""
@@ -211,7 +211,7 @@ class PersonActor:
                 break
             gets_there |= bool(np.isfinite(nearest_stand(self.free, stands, self.xz)[1]))
         else:
-            return Ending("failed", "no_room" if gets_there else "no_way")
+            return SkillResult("failed", "no_room" if gets_there else "no_way")
         return (yield from self._go_to(stands[k], point))
 
     def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
@@ -245,7 +245,7 @@ class PersonActor:
                 n, left = nearest_stand(self.free, near, self.xz, crowds(near, self.others) if len(near) else None)
                 if np.isfinite(left):
                     return (yield from self._go_to(near[n], way[0]))
-        return Ending("failed", "no_way")
+        return SkillResult("failed", "no_way")
 
     def _go_to(self, stand: Array, point: Array) -> Skill:
         """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
@@ -256,11 +256,13 @@ class PersonActor:
             self._pace(None)
             yield
         if np.hypot(*(self.xz - stand[:2])) > 2 * self.spec.arrive_m:
-            return Ending("failed", "blocked" if self.turned_away or waited > AVOIDANCE.patience_steps else "stuck")
+            return SkillResult(
+                "failed", "blocked" if self.turned_away or waited > AVOIDANCE.patience_steps else "stuck"
+            )
         self.person.look_at = point.copy()
         self._goes_around = False
         yield from self._careful(self.person.turn(float(stand[2]), settles=False))
-        return Ending("done")
+        return SkillResult("done")
 
     def _move_part(self, k: int, *, opens: bool) -> Skill:
         """Open or close a part, the hand at its handle."""
@@ -275,9 +277,9 @@ class PersonActor:
                 next(motion)
             except StopIteration as end:
                 result = end.value
-                return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
+                return SkillResult("done") if result.success else SkillResult("failed", result.reason or "out_of_reach")
             if leading.gave_up:
-                return Ending("failed", "blocked")
+                return SkillResult("failed", "blocked")
             yield
 
     def _walk(self, goal: NDArray, *, facing: float | None = None) -> Generator[None, None, int]:
@@ -460,7 +462,7 @@ class PersonActor:
         speed = min(speed + stride.accel_mps2 * STEP_S, math.sqrt(2 * stride.decel_mps2 * left))
         return replace(self.spec, speed_mps=min(max(speed, CREEP_MPS), self.spec.speed_mps))
 
-    def _careful(self, motion: Motion, patience: int = AVOIDANCE.patience_steps) -> Generator[None, None, SkillResult]:
+    def _careful(self, motion: Motion, patience: int = AVOIDANCE.patience_steps) -> Generator[None, None, MotionResult]:
         """Carries out a motion, waiting at each step until no other agent is in the way.
 
         After ``patience`` steps of waiting the motion is reversed and fails, unless it has changed what the hands hold.
@@ -478,7 +480,7 @@ class PersonActor:
                 blocked += 1
                 if blocked > patience and tuple(self.person.held) == holding:
                     yield from self._back_through(done)
-                    return SkillResult(success=False, reason="blocked")
+                    return MotionResult(success=False, reason="blocked")
                 self._follow()
                 yield
                 self._take(after)
@@ -545,11 +547,11 @@ class PersonActor:
         near: list[Hand] = [hand for hand in hands if self._reaches(stand, point, hand)]
         able: list[Hand] = [hand for hand in near if self._has_room(stand, point, hand)]
         if near and not able:
-            return Ending("failed", "no_room")
+            return SkillResult("failed", "no_room")
         hand = able[0] if able else hands[0]
         self.person.objects[name] = self.objects.poses[k].copy()
         motion = self._careful(self.person.pick(name, hand) if picks else self.person.place(point, hand))
-        result = SkillResult(success=False)
+        result = MotionResult(success=False)
         self.yields = False
         while True:
             try:
@@ -560,7 +562,7 @@ class PersonActor:
             if picks and hand not in self.person.held:  # it may go away under the hand
                 self.person.objects[name] = self.objects.poses[k].copy()
             yield
-        return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
+        return SkillResult("done") if result.success else SkillResult("failed", result.reason or "out_of_reach")
 
     def _reaches(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
         seen = Person(self.person.body, self.free.root_pose(stand[:2], float(stand[2]))).seen(point)

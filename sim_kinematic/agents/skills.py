@@ -9,13 +9,17 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.moved import refuse_renamed
 from sim_kinematic.motion.state import NOBODY, WorldState
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 SKILLS = (
     "nav_to_object", "nav_to_goal", "pick", "place", "wait", "move_forward", "move_backward", "turn_left", "turn_right",
@@ -92,14 +96,14 @@ class Action(NamedTuple):
     [m], of ``hand_over`` the robot's number."""
 
 
-class Ending(NamedTuple):
+class SkillResult(NamedTuple):
     """How a skill ended."""
 
     outcome: Literal["done", "failed", "aborted"]
     reason: str = ""
 
 
-Skill = Generator[None, None, Ending]
+Skill = Generator[None, None, SkillResult]
 
 
 @lru_cache(maxsize=64)

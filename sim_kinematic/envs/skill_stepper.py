@@ -29,7 +29,7 @@ from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, l
 from sim_kinematic.sensing.agent_pictures import Limits, picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.rearrange.play import AgentRun, RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangePlay, SkillExecutor
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import Turns
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
@@ -188,7 +188,7 @@ class SkillStepper:
     def info(self, agent: str) -> Info:
         """Facts about the last skill, the objects and the choices that are possible now."""
         play = self._begun()
-        runner: AgentRun = play.runner(KINDS.index(agent))
+        runner: SkillExecutor = play.runner(KINDS.index(agent))
         ending, ended = runner.ending, play.ended if self.is_over else ""
         mask = [not play.objects.why_not(runner.number, action) for action in self._choices[agent]]
         info = {

@@ -18,10 +18,10 @@ from h3data.geometry import Array, pose_multiply
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.contact_tracker import AgentContactTracker
-from sim_kinematic.agents.person import Frame, Person, SkillResult
+from sim_kinematic.agents.person import Frame, MotionResult, Person
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import Ending, Objects, Skill
+from sim_kinematic.agents.skills import Objects, Skill, SkillResult
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.contact.frames import root_pose, walking_phase
 from sim_kinematic.motion.spec import ArmRoomSpec
@@ -70,7 +70,7 @@ class Stroller(PersonActor):
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
         """Walks to a floor point [2], or gives up where somebody does not let them pass."""
         yield from self._walk(goal)
-        return Ending("done")
+        return SkillResult("done")
 
     def follow(self, state: WorldState) -> None:
         """Takes over where the world has the person, and how far they are in their walking cycle."""
@@ -126,11 +126,11 @@ class ClipFigure:
             self.gait = gait.take([0])
             draw_arms(self.gait, self._free, self.body, self._arms)
 
-    def turn(self, heading: float, *, settles: bool = True) -> Generator[None, None, SkillResult]:
+    def turn(self, heading: float, *, settles: bool = True) -> Generator[None, None, MotionResult]:
         """As `Person.turn`: `sim_kinematic.motion.gait.walk_humans` turns them before they walk."""
         del heading, settles
         yield from ()
-        return SkillResult(success=True)
+        return MotionResult(success=True)
 
     def frame(self) -> Frame:
         """As `Person.frame`."""

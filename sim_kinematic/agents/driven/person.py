@@ -29,7 +29,7 @@ from sim_kinematic.agents.person import FADE_STEPS
 from sim_kinematic.agents.person_skills import HANDS as HANDS_TRIED
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import CONTROL, Action, Ending, Skill
+from sim_kinematic.agents.skills import CONTROL, Action, Skill, SkillResult
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.motion.gait import drive_people
 from sim_kinematic.motion.spec import STEP_S
@@ -155,7 +155,7 @@ class DrivenPerson(PersonActor):
     def _control(self, command: PersonCommand) -> Skill:
         self._drive(command)
         yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _after_standing(self, action: Action) -> Skill:
         """A skill, once the person has come to a stand with arms and head as skills expect them."""
@@ -189,7 +189,7 @@ class DrivenPerson(PersonActor):
         for _ in range(FADE_STEPS):
             self._drive(STAND)
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _give(self, action: Action) -> Skill:
         """Brings the hand near the robot's; there the object changes hands, and the robot draws it into its own.
@@ -205,11 +205,11 @@ class DrivenPerson(PersonActor):
         while True:
             near = float(np.linalg.norm(robot.hand_pose[:3] - point)) <= robot.grip_m
             if not given and (not near or self.objects.held(robot.number) >= 0 or not robot.yields):
-                return Ending("failed", "robot_moved" if not near else "robot_busy")
+                return SkillResult("failed", "robot_moved" if not near else "robot_busy")
             try:
                 next(motion)
             except StopIteration as end:
-                return Ending("done") if given else Ending("failed", end.value.reason or "out_of_reach")
+                return SkillResult("done") if given else SkillResult("failed", end.value.reason or "out_of_reach")
             if not given and hand not in self.person.held:
                 given = True
                 self.objects.held_by[k] = robot.number

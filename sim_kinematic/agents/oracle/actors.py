@@ -23,7 +23,7 @@ from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.driving import ARRIVED_M, FACING_RAD, NEARLY_M, STUCK_STEPS
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Skill
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Skill, SkillResult
 from sim_kinematic.motion.gait import move_people
 from sim_kinematic.motion.spec import STEP_S, OracleSpec
 from sim_kinematic.motion.state import NOBODY
@@ -145,8 +145,8 @@ class OracleRobot(RobotActor):
                 is_there(float(np.hypot(*(ways.points[number] - self.xz))))
                 and abs(self.facing_error(errand)) < FACING_RAD
             ):
-                return Ending("done")
-        return Ending("failed", "stuck")
+                return SkillResult("done")
+        return SkillResult("failed", "stuck")
 
     def take(self, k: int) -> None:
         """The object is in the hand, and keeps its direction."""
@@ -201,7 +201,7 @@ class OraclePerson(PersonActor):
             yield
             arrived = number >= ways.corners and np.hypot(*(ways.points[number] - self.xz)) <= within
             if arrived and abs(self.facing_error(errand)) < AIMED_RAD:
-                return Ending("done")
+                return SkillResult("done")
 
     def _turn_by(self, error_rad: float) -> None:
         gait, most = self._gait_here(), self.spec.turn_rad_s * STEP_S
@@ -253,8 +253,8 @@ def _handling(
         why = _hand_over(actor, action, errand) if step == changes else ""
         yield
         if why:
-            return Ending("failed", why)
-    return Ending("done")
+            return SkillResult("failed", why)
+    return SkillResult("done")
 
 
 def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: Errand) -> str:

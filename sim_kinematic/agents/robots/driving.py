@@ -17,7 +17,7 @@ from sim_kinematic.agents.robots.arm_clearance import ArmClearance
 from sim_kinematic.agents.robots.hand_reach import (
     reach_bearing,
 )
-from sim_kinematic.agents.skills import Ending, Objects, Skill
+from sim_kinematic.agents.skills import Objects, Skill, SkillResult
 from sim_kinematic.agents.stands import (
     discs_fit,
 )
@@ -178,7 +178,7 @@ class RobotDriver:
         for _ in range(steps):
             self._step(forward, turn, eases=False)
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _wait(self, steps: int) -> Skill:
         """Stands where it is in nobody's way."""
@@ -191,7 +191,7 @@ class RobotDriver:
             else:
                 self._drive(self._leg(goal)[1])
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _step_aside(self) -> None:
         """Goes one step aside, or stands there."""
@@ -232,7 +232,7 @@ class RobotDriver:
         tried, is_near = 0, False
         while since <= STUCK_STEPS:
             if self.turned_away:
-                return Ending("failed", "blocked")
+                return SkillResult("failed", "blocked")
             if self.aside is not None:
                 self._step_aside()
                 yield
@@ -256,17 +256,17 @@ class RobotDriver:
             if not len(via) and (left <= within_m or (left <= NEARLY_M and (stalled or is_near))):
                 self._goes_around = False
                 if facing is None:
-                    return Ending("done")
+                    return SkillResult("done")
                 error = self._error_to(facing, reach)
                 if abs(error) < FACING_RAD:
-                    return Ending("done")
+                    return SkillResult("done")
                 self._step(0.0, self._turn(error), goal)
                 left = 0.1 * abs(error) - 1.0
             else:
                 self._drive(waypoint, left)
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
-        return Ending("failed", "stuck")
+        return SkillResult("failed", "stuck")
 
     @property
     def _looks_around(self) -> bool:

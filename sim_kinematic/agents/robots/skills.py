@@ -27,7 +27,7 @@ from sim_kinematic.agents.robots.hand_reach import (
     reach_distances,
     reach_posture,
 )
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, LearnedSkill, Skill
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, LearnedSkill, Skill, SkillResult
 from sim_kinematic.agents.stands import (
     CROWDED_M,
     handle_stands,
@@ -139,7 +139,7 @@ class RobotActor(RobotDriver):
         hand = robot_hands(self.state, robot, self.free)
         grip_objects(state, hand, action[-1:], rules, agent=self.number)
         yield
-        return Ending("done")
+        return SkillResult("done")
 
     def obey(self, command: Array, towards: NDArray) -> None:
         """Moves one step by the command of a learned skill.
@@ -190,7 +190,7 @@ class RobotActor(RobotDriver):
         k, left = self._stand_with_room(stands, point)
         if not np.isfinite(left):
             gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
-            return Ending("failed", "no_room" if gets_there else "no_way")
+            return SkillResult("failed", "no_room" if gets_there else "no_way")
         yield from self._fold_arm()
         goal = stands[k, :2]
         ending = yield from self.drive_to(goal, facing=point[[0, 2]])
@@ -226,7 +226,7 @@ class RobotActor(RobotDriver):
         stands = stands[stands_before(self.openables, k, stands, base.disc_offsets_m, base.disc_radius_m)]
         n = self._straightest(stands)
         if n < 0:
-            return Ending("failed", "no_way")
+            return SkillResult("failed", "no_way")
         yield from self._fold_arm()
         ahead = stands[n, 2] + reach_bearing(self.robot)
         facing = stands[n, :2] + HORIZON_M * np.array([np.cos(ahead), -np.sin(ahead)])
@@ -260,7 +260,7 @@ class RobotActor(RobotDriver):
         for step in range(len(leading.way)):
             while not leading.advance(step):
                 if leading.gave_up:
-                    return Ending("failed", "blocked")
+                    return SkillResult("failed", "blocked")
                 self._step(0.0, 0.0, avoid=False)
                 yield
             hand = self._hand_at(leading.handles[step], robot)
@@ -270,7 +270,7 @@ class RobotActor(RobotDriver):
                 self.arm_goal = answer.joint_pos if follows else self.arm_goal
             self._step(0.0, 0.0, avoid=False)
             yield
-        return Ending("done")
+        return SkillResult("done")
 
     def _stand_with_room(self, stands: Array, point: NDArray) -> tuple[int, float]:
         """Nearest stand, as `nearest_stand` returns it, from which the arm reaches a world point [3] without contact.
@@ -323,18 +323,18 @@ class RobotActor(RobotDriver):
         if gap > self.grip_m or self.objects.held_by[k] != NOBODY:
             if self._is_instant:
                 yield  # the arm has moved in this step
-            return Ending("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
+            return SkillResult("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
         self.objects.held_by[k] = self.number
         self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(self.hand_pose), self.objects.poses[k])
         yield from self._withdraw_hand(over)
-        return Ending("done")
+        return SkillResult("done")
 
     def _place(self, k: int) -> Skill:
         over, at = self._reach_line(self._hand_target(Action("place", k)))
         yield from self._bring_hand(over, at)
         self.objects.held_by[k] = NOBODY
         yield from self._withdraw_hand(over)
-        return Ending("done")
+        return SkillResult("done")
 
     def _fold_arm(self) -> Generator[None, None, None]:
         """Stands until the hand is nearly over the base: one that drove off with its arm out had the hand 6 cm in a wall."""

@@ -12,7 +12,7 @@ from h3data.geometry import Array, pose_inverse, pose_multiply
 from h3data.recording import Recording
 from h3data.recording.records import JOINTS
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.skills import Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import Action, Objects, Skill, SkillResult
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
 
@@ -113,7 +113,7 @@ def _following(actor: PersonActor, track: KeptTrack, first: int) -> Skill:
                 actor.openables.move(joint, position)
         _handle(actor.objects, actor.number, track, step)
         yield
-    return Ending("done")
+    return SkillResult("done")
 
 
 def _handle(objects: Objects, number: int, track: KeptTrack, step: int) -> None:

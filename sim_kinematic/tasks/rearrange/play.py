@@ -33,7 +33,16 @@ from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import common_floor, kinds_of
-from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import (
+    ALL_SKILLS,
+    CONTROL,
+    OPENING_SKILLS,
+    PRIMITIVES,
+    Action,
+    Objects,
+    Skill,
+    SkillResult,
+)
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
@@ -79,7 +88,7 @@ CHOICES = 9
 
 
 @dataclass(eq=False)
-class AgentRun:
+class SkillExecutor:
     """One agent: its running skill, and what comes next."""
 
     number: int
@@ -92,7 +101,7 @@ class AgentRun:
     joints: tuple[str, ...] = ()
     """Names of doors and drawers."""
     action: Action = field(default_factory=lambda: Action("wait"))
-    ending: Ending | None = None
+    ending: SkillResult | None = None
     skill: Skill | None = None
     begun: int = 0
     completed: int = 0
@@ -113,7 +122,7 @@ class AgentRun:
         chosen: Action | None = None
         goes_on = self.skill is not None and self.action.skill != CONTROL  # a command lasts one step: nothing to abort
         if goes_on and (reason := self.interrupts(view)):
-            self.ending = Ending("aborted", reason)
+            self.ending = SkillResult("aborted", reason)
             chosen = yield self.number
             if chosen == self.action:
                 self.ending = chosen = None
@@ -128,7 +137,7 @@ class AgentRun:
                 self.action, self.begun, chosen = chosen, step, None
                 why = self.actor.infeasible(self.action)
                 if why:  # a no-op that takes one step, as Habitat's
-                    self._end(step, Ending("failed", why))
+                    self._end(step, SkillResult("failed", why))
                     break
                 self.skill, self.ending = self.actor.start(self.action), None
             try:
@@ -143,7 +152,7 @@ class AgentRun:
         interrupts = getattr(self.policy, "interrupts", None)
         return interrupts(view(self.number)) if interrupts is not None else ""
 
-    def _end(self, step: int, ending: Ending) -> None:
+    def _end(self, step: int, ending: SkillResult) -> None:
         if self.skill is not None:
             self.skill.close()  # one that is interrupted folds the arm
         self.skill, self.ending = None, ending
@@ -232,7 +241,7 @@ class RearrangePlay:
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         acts = sorted(self.actors, key=lambda actor: isinstance(actor, RobotActor))  # people first: robots see where to
         self.runners = [
-            AgentRun(
+            SkillExecutor(
                 actor.number,
                 actor,
                 self.policies[actor.number].policy,
@@ -404,7 +413,7 @@ class RearrangePlay:
         for runner in self.runners:
             runner.finish(self.step, completed=runner.number in self.finishers)
 
-    def runner(self, number: int) -> AgentRun:
+    def runner(self, number: int) -> SkillExecutor:
         """The run of an agent."""
         return self._by_number[number]
 
@@ -470,7 +479,7 @@ class RearrangePlay:
         busy = runner.skill is not None and skill not in IDLE_SKILLS
         return Errand(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
 
-    def _left_m(self, runner: AgentRun) -> float:
+    def _left_m(self, runner: SkillExecutor) -> float:
         """Length of the path to the object, goal or handle to which an agent is going [m]; infinite: it goes nowhere."""
         skill, k = runner.action[:2]
         if runner.skill is None or not skill.startswith("nav"):

@@ -17,7 +17,7 @@ from sim_kinematic.tasks.rearrange.skill_starts import SkillStart
 from sim_kinematic.tasks.runner import Turns
 
 
-class SkillResult(NamedTuple):
+class SkillScore(NamedTuple):
     """The end of a skill."""
 
     outcome: str
@@ -39,7 +39,7 @@ def action_of(start: SkillStart) -> Action:
 def judge(
     episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill],
     watch: Callable[[RearrangePlay], object] | None = None,
-) -> SkillResult:  # fmt: skip
+) -> SkillScore:  # fmt: skip
     """Plays one skill to its end.
 
     Args:
@@ -63,7 +63,7 @@ def judge(
     if play.ended == "success":  # all objects were at their goals before the hand was back
         outcome, reason = "done", ""
     path = float(robot.free.geodesic(start.xz, start.stand_xz))
-    return SkillResult(outcome, reason, steps, path, contact)
+    return SkillScore(outcome, reason, steps, path, contact)
 
 
 def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, LearnedSkill]) -> RearrangePlay:

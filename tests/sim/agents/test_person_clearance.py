@@ -17,7 +17,7 @@ from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from sim_kinematic.agents.person import Person, run
 from sim_kinematic.agents.person_clearance import REACHING_PARTS, TOLERANCE_M, ReachRoom
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.skills import Action, Ending, Objects
+from sim_kinematic.agents.skills import Action, Objects, SkillResult
 from sim_kinematic.agents.stands import nearest_stand, person_stands
 from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.motion.spec import WalkerSpec
@@ -140,7 +140,7 @@ def test_without_room_the_skill_fails_and_says_so(world: RearrangeEpisode) -> No
         world.human, ground_pose(stand[:2], float(stand[2])), dict(zip(objects.names, objects.poses, strict=True))
     )
 
-    def ending(skill: Generator[None, None, Ending]) -> Ending:
+    def ending(skill: Generator[None, None, SkillResult]) -> SkillResult:
         while True:
             try:
                 next(skill)
@@ -169,13 +169,13 @@ def test_the_left_hand_takes_what_the_right_cannot(world: RearrangeEpisode) -> N
     person = Person(world.human, start, dict(zip(objects.names, objects.poses, strict=True)))
     actor = PersonActor(person, world.free, WalkerSpec(), objects, 1, OnlyLeft())
     for name in ("nav_to_object", "pick"):
-        assert run(person, actor.start(Action(name, 0)))[1] == Ending("done")  # type: ignore[arg-type,comparison-overlap]
+        assert run(person, actor.start(Action(name, 0)))[1] == SkillResult("done")  # type: ignore[arg-type,comparison-overlap]
     assert list(person.held) == ["left"]
     assert objects.held(1) == 0
     np.testing.assert_allclose(actor.hand_pose[:3], objects.poses[0, :3], atol=0.02)
     assert actor._hands(0) == ("left",)
     point = person.palm("left")[:3] - np.array([0.0, 0.1, 0.0])
     objects.goals[0] = point
-    assert run(person, actor.start(Action("place", 0)))[1] == Ending("done")  # type: ignore[arg-type,comparison-overlap]
+    assert run(person, actor.start(Action("place", 0)))[1] == SkillResult("done")  # type: ignore[arg-type,comparison-overlap]
     assert objects.held(1) == NOBODY
     np.testing.assert_allclose(objects.poses[0, :3], point, atol=0.012)

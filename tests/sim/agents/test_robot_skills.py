@@ -14,7 +14,7 @@ from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data.scene.freespace.build import build_from_walkable
 from sim_kinematic.agents.robots.driving import ARRIVED_M
 from sim_kinematic.agents.robots.skills import ARM_OUT_M, RobotActor
-from sim_kinematic.agents.skills import Action, Ending, Objects
+from sim_kinematic.agents.skills import Action, Objects, SkillResult
 from sim_kinematic.agents.stands import robot_stands
 from sim_kinematic.avoidance.robot_base import CARRIED_M, base_of, carrying_base_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
@@ -150,7 +150,7 @@ def test_what_it_carries_is_brought_to_where_it_has_room_without_it() -> None:
     def go() -> Iterator[None]:
         ends.append((yield from robot.start(Action("nav_to_goal", 0))))
 
-    ends: list[Ending] = []
+    ends: list[SkillResult] = []
     for _ in zip(range(300), go(), strict=False):
         pass
     assert [end.outcome for end in ends] == ["done"]

@@ -17,7 +17,7 @@ from h3data.scene.freespace.build import build_from_walkable
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import Action, Ending, Objects
+from sim_kinematic.agents.skills import Action, Objects, SkillResult
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
@@ -318,7 +318,7 @@ def test_a_hand_that_is_in_somebodys_way_is_taken_back(home: Scene, free: FreeSp
             steps += 1
         except StopIteration as end:
             ending = end.value
-    assert ending == Ending("failed", "blocked")
+    assert ending == SkillResult("failed", "blocked")
     after = person.frame()
     np.testing.assert_array_equal(after.joints, before.joints)
     np.testing.assert_array_equal(after.root, before.root)
