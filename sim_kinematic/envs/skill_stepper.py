@@ -29,9 +29,9 @@ from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, l
 from sim_kinematic.sensing.agent_pictures import Limits, picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.rearrange.play import RearrangePlay, SkillExecutor
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout, SkillExecutor
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import Turns
+from sim_kinematic.tasks.runner import DecisionLoop
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 if TYPE_CHECKING:
@@ -104,8 +104,8 @@ class SkillStepper:
         self._sets = self._observation_sets(observations or STATE_SENSES, options)
         self._light: LightMode = options.light
         self._stage = Stage()
-        self.play: RearrangePlay | None = None
-        self._turns: Turns | None = None
+        self.play: RearrangeRollout | None = None
+        self._turns: DecisionLoop | None = None
         self._steps, self._reward = 0, 0.0
 
     # --- spaces -------------------------------------------------------------------------------------------------------
@@ -129,7 +129,7 @@ class SkillStepper:
             if kind not in chosen:
                 chosen[kind] = self._partner if isinstance(self._partner, str) else self._partner(episode.seed)
         self.play = self.task.play(episode, self.task.assign(episode, chosen))
-        self._turns = Turns(self.play)
+        self._turns = DecisionLoop(self.play)
         self._steps, self._reward = 0, 0.0
         self._go_on({})
         self._steps, self._reward = 0, 0.0
@@ -228,12 +228,12 @@ class SkillStepper:
         return in_words("rearrange", self.source.scenes, len(self.source.homes), acting, beside=others)
 
     # --- inside -------------------------------------------------------------------------------------------------------
-    def _begun(self) -> RearrangePlay:
+    def _begun(self) -> RearrangeRollout:
         if self.play is None:
             raise InputError("No episode has begun. Hint: call reset() first.")
         return self.play
 
-    def _playing(self) -> RearrangePlay:
+    def _playing(self) -> RearrangeRollout:
         if self.play is None or self.is_over:
             raise InputError("No episode is going on. Hint: call reset() first.")
         return self.play
@@ -306,7 +306,7 @@ class Stage:
         self._episode: Any = None
         self._renderers: dict[LightMode, StateRenderer] = {}
 
-    def posed(self, play: RearrangePlay, light: LightMode = "flat") -> StateRenderer:
+    def posed(self, play: RearrangeRollout, light: LightMode = "flat") -> StateRenderer:
         """The renderer of a light, with everything where it is now."""
         from sim_kinematic.sensing.camera_sensor import StateRenderer
 

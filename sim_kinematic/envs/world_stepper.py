@@ -22,7 +22,7 @@ from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
 from sim_kinematic.sensing.table import PAIR_SENSORS, SensorContext
 from sim_kinematic.tasks.describe import in_words
-from sim_kinematic.tasks.play import WorldPlay
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command, DriveCommand, GaitCommand, PoseCommand, WaypointCommand
@@ -70,7 +70,7 @@ class WorldStepper:
             robot: body of robots named by their kind.
             human: body of people named by their kind.
             options: pictures and noise.
-            **task_options: options of the task (`WorldPlay.options`).
+            **task_options: options of the task (`WorldRollout.options`).
 
         Raises:
             InputError: a name does not exist.
@@ -78,7 +78,7 @@ class WorldStepper:
         self.source = EpisodeSource(task, scenes, spec=spec, agents=roster, robot=robot, human=human)
         self.task, self.spec = task, self.source.spec
         task.check_env_options(task_options)
-        self.play = WorldPlay(task, self.spec, self.source.roster, worlds=worlds, options=task_options)
+        self.play = WorldRollout(task, self.spec, self.source.roster, worlds=worlds, options=task_options)
         self.worlds = self.play.world.worlds
         names = [member.name for member in self.source.roster]
         strangers = [agent for agent in agents if agent not in names]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
 from functools import partial
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import H3DataError, InputError
 from h3data.geometry import Array
+from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.roster import AgentSpec
@@ -34,10 +35,13 @@ from sim_kinematic.world import (
     World,
 )
 
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
+
 Columns = dict[str, NDArray[Any]]
 
 
-class Play(Protocol):
+class Rollout(Protocol):
     """One episode under way. It moves everybody; who decides is asked through `turns`."""
 
     policies: list[AssignedPolicy]
@@ -90,30 +94,30 @@ class Play(Protocol):
 
 
 class Rules(Protocol):
-    """What `WorldPlay` asks of a task; `sim_kinematic.tasks.task.Task` explains each."""
+    """What `WorldRollout` asks of a task; `sim_kinematic.tasks.task.Task` explains each."""
 
     skills: ClassVar[Mapping[str, tuple[str, ...]]]
     columns: ClassVar[Mapping[str, Any]]
     records_judgement: ClassVar[bool]
 
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun."""
 
-    def judge(self, play: WorldPlay) -> StepOutcome:
+    def judge(self, play: WorldRollout) -> StepOutcome:
         """Returns reward, end and events of the step that all worlds have just made."""
         ...
 
-    def view(self, play: WorldPlay, agent: int, world: int) -> Any:
+    def view(self, play: WorldRollout, agent: int, world: int) -> Any:
         """Returns the observation of an agent's policy in one world."""
         ...
 
-    def end_reason(self, play: WorldPlay, world: int) -> str:
+    def end_reason(self, play: WorldRollout, world: int) -> str:
         """Returns the word recorded in ``info["ended"]`` for an episode that the rules have ended."""
         ...
 
 
-class WorldPlay:
-    """W worlds of one task, each in an episode of its own; with W = 1 a `Play`."""
+class WorldRollout:
+    """W worlds of one task, each in an episode of its own; with W = 1 a `Rollout`."""
 
     def __init__(
         self,
@@ -242,7 +246,7 @@ class WorldPlay:
             self._traffic[world] = Traffic(self.world, world, floors)
         return self._traffic[world]
 
-    # --- one world: Play ----------------------------------------------------------------------------------------------
+    # --- one world: Rollout -------------------------------------------------------------------------------------------
     @property
     def episode(self) -> Episode:
         """Episode of the first world."""

@@ -34,7 +34,7 @@ from h3data.scene.homes import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Columns, Play
+from sim_kinematic.tasks.play import Columns, Rollout
 from sim_kinematic.tasks.task import Task
 
 BLOCK = 30
@@ -71,7 +71,7 @@ class Recorder:
     """The episode as it grows."""
 
     header: RecordingHeader
-    play: Play
+    play: Rollout
     sink: Sink | None = None
     blocks: list[Columns] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)

@@ -8,27 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from h3data.errors import InputError, suggest
+from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from sim_kinematic.agents.skills import sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import COMMAND
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Play
+from sim_kinematic.tasks.play import Rollout
 from sim_kinematic.tasks.recorder import Recorder, Sink, describe
 from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
-class Turns:
+
+class DecisionLoop:
     """An episode's turns, one at a time: who must decide next, or that a step is over."""
 
-    def __init__(self, play: Play) -> None:
+    def __init__(self, play: Rollout) -> None:
         self._play = play
         self._turns: Generator[int | None, Any, None] = play.turns()
         self.over = False
@@ -52,7 +56,7 @@ class Turns:
 
 
 def run(
-    play: Play,
+    play: Rollout,
     recorder: Recorder | None = None,
     *,
     steps: int | None = None,
@@ -64,7 +68,7 @@ def run(
     """
     if steps == 0:
         return play.ended
-    turns, policies, done = Turns(play), play.policies, 0
+    turns, policies, done = DecisionLoop(play), play.policies, 0
     while not turns.over:
         if turns.asked is not None:
             number = turns.asked
@@ -196,7 +200,7 @@ class Session:
             header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
         self.recorder = Recorder(header, self.play, sink(header) if sink is not None else None)
         self._numbers = {member.name: k for k, member in enumerate(episode.roster)}
-        self._turns: Turns | None = None
+        self._turns: DecisionLoop | None = None
         self._closed: Recording | None = None
 
     def __repr__(self) -> str:
@@ -274,7 +278,7 @@ class Session:
         if self.ended:
             raise InputError(f"The episode has ended ({self.play.ended}). Hint: session.close() gives its recording.")
         if self._turns is None:
-            self._turns = Turns(self.play)
+            self._turns = DecisionLoop(self.play)
         else:  # only now: a command that has come since may interrupt a running skill
             self._turns.go_on()
         while self._turns.asked is not None:

@@ -17,7 +17,7 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.episode import Episode, StepOutcome, rules_dict
-from sim_kinematic.tasks.play import WorldPlay
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.task import Task
 
@@ -54,11 +54,11 @@ class Wander(Task):
         """Random free starts [A, 3], from this task's own random stream."""
         return super().sample_starts(scene, free, seed, spec, roster, stream)
 
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Forgets all contacts, so that agents who touch at the start cause an event."""
         play.memory = np.zeros_like(play.world.touching)  # who touched whom a step ago
 
-    def judge(self, play: WorldPlay) -> StepOutcome:
+    def judge(self, play: WorldRollout) -> StepOutcome:
         """Reports each new contact between two agents as an event; rewards are 0 and the rules end no episode."""
         world = play.world
         events = [

@@ -46,7 +46,7 @@ from sim_kinematic.policies.pictured import save_pictured
 from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import limits, observe
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import run
 
@@ -223,7 +223,7 @@ def test_what_cannot_be_is_never_offered(episodes: Sequence[RearrangeEpisode]) -
     episode = replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700))
     robot = _Watched(chooser(think_steps=200), robot=True, seed=1)
     person = _Watched(chooser("partner_0", think_steps=200), robot=False, seed=2)
-    play = RearrangePlay(episode, [
+    play = RearrangeRollout(episode, [
         playing.AssignedPolicy(robot, "robot", "robot"), playing.AssignedPolicy(person, "human", "human"),
     ])  # fmt: skip
     robot.play = person.play = play  # type: ignore[assignment]
@@ -236,7 +236,7 @@ def test_a_score_cannot_buy_what_is_not_allowed(episodes: Sequence[RearrangeEpis
     bias = network.arrays["each_1.bias"].copy()
     bias[2:] = 1e6  # pick and place, and nobody has arrived anywhere
     policy = RecurrentChooser(replace(network, arrays={**network.arrays, "each_1.bias": bias}), 2, robot=True)
-    play = RearrangePlay(episodes[0], [
+    play = RearrangeRollout(episodes[0], [
         playing.AssignedPolicy(policy, "robot", "robot"), playing.AssignedPolicy(planner("still", 0), "still", "human"),
     ])  # fmt: skip
     assert policy.act(play.view(0)).skill not in ("pick", "place")
@@ -258,7 +258,7 @@ def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[Rearra
     assert robot.network.observations == tuple(n for n in OBSERVATIONS if n not in OF_OTHER)
     inputs: dict[str, list[np.ndarray]] = {"blind": [], "seeing": []}
     blind, seeing = robot.network.observations, OBSERVATIONS
-    play = RearrangePlay(replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
+    play = RearrangeRollout(replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
         playing.AssignedPolicy(planner("still", 0), "still", "robot"),
         playing.AssignedPolicy(planner("both", 0), "both", "human"),
     ])  # fmt: skip

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.kernels import kernel
+from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, SkillSpan
 from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode
@@ -59,6 +60,9 @@ from sim_kinematic.tasks.play import Columns
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rearrange.oracle import errands_of
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 Row = dict[str, Any]
 DTYPES: dict[str, type] = {
@@ -196,8 +200,8 @@ class SkillExecutor:
 
 
 @dataclass(eq=False)
-class RearrangePlay:
-    """The changing half of an episode: a `sim_kinematic.tasks.play.Play`."""
+class RearrangeRollout:
+    """The changing half of an episode: a `sim_kinematic.tasks.play.Rollout`."""
 
     episode: RearrangeEpisode
     policies: list[AssignedPolicy]
@@ -371,7 +375,7 @@ class RearrangePlay:
                     actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
 
     def turns(self) -> Generator[int | None, Action, None]:
-        """As `sim_kinematic.tasks.play.Play.turns`."""
+        """As `sim_kinematic.tasks.play.Rollout.turns`."""
         spec = self.episode.spec
         for self.step in range(spec.max_steps):
             held, joints = self.objects.held_by.copy(), self.state.joint_pos[0].copy()
@@ -601,7 +605,7 @@ class RearrangePlay:
         return row
 
     def columns(self, snapshots: Sequence[Row], first: int) -> Columns:
-        """As `sim_kinematic.tasks.play.Play.columns`."""
+        """As `sim_kinematic.tasks.play.Rollout.columns`."""
         count = len(snapshots)
         block: Columns = {"time_ns": np.arange(first + 1, first + count + 1, dtype=np.int64) * STEP_NS}
         for name in snapshots[0]:

@@ -47,7 +47,7 @@ from sim_kinematic.policies.recorded import (
     recorded_commands,
 )
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
-from sim_kinematic.tasks.play import Play
+from sim_kinematic.tasks.play import Rollout
 from sim_kinematic.tasks.rearrange.episode import (
     PAIR,
     RearrangeEpisode,
@@ -58,7 +58,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     starts_of,
 )
 from sim_kinematic.tasks.rearrange.kept_track import KeptTrack, follow_track
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.rearrange.storage import RearrangeStorage, goal_record, rules_to_json, target_of
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.resimulation import is_counterfactual
@@ -227,19 +227,21 @@ class Rearrange(Task):
         people = [k for k, kind in enumerate(kinds_of(episode.roster)) if kind == "human"]
         return episode.only(*people) if policy == SOLO else episode
 
-    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> RearrangePlay:
+    def play(
+        self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True
+    ) -> RearrangeRollout:
         """Run of an episode with the given policies."""
         assert isinstance(episode, RearrangeEpisode)
-        return RearrangePlay(episode, list(policies))
+        return RearrangeRollout(episode, list(policies))
 
     # --- commands from outside ----------------------------------------------------------------------------------------
-    def checked_choice(self, play: Play, number: int, choice: Any) -> Action:
+    def checked_choice(self, play: Rollout, number: int, choice: Any) -> Action:
         """Skill, robot command or person command from outside as an `Action`.
 
         Raises:
             InputError: the choice is malformed or names an object or skill that does not exist.
         """
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         body = play.episode.roster[number].body
         if not isinstance(choice, Action):
             choice = _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.objects, number)
@@ -249,9 +251,9 @@ class Rearrange(Task):
             checked_command(choice.command, body)  # type: ignore[arg-type]
         return choice
 
-    def idle_choice(self, play: Play, number: int, last: Any) -> Action:
+    def idle_choice(self, play: Rollout, number: int, last: Any) -> Action:
         """To go on with what is running or with the last velocity, else to stand for a step."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         runner = play.runner(number)
         if runner.skill is not None:
             return runner.action
@@ -259,20 +261,20 @@ class Rearrange(Task):
             return last
         return Action(CONTROL, command=STAND) if isinstance(runner.actor, DrivenPerson) else SHORT_WAIT
 
-    def is_busy(self, play: Play, number: int) -> bool:
+    def is_busy(self, play: Rollout, number: int) -> bool:
         """Whether a skill other than ``wait`` is running."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         runner = play.runner(number)
         return not runner.is_free and runner.action.skill != "wait"
 
-    def interrupts_running(self, play: Play, number: int, choice: Any) -> bool:
+    def interrupts_running(self, play: Rollout, number: int, choice: Any) -> bool:
         """Whether the choice is a skill that interrupts, and not the one that is running already."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         return interrupts_skill(choice) and choice != play.runner(number).action
 
-    def refusal(self, play: Play, number: int, choice: Any) -> str | None:
+    def refusal(self, play: Rollout, number: int, choice: Any) -> str | None:
         """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         actor = play.actors[number]
         why = actor.refusal(choice) if isinstance(actor, DrivenPerson) else actor.infeasible(choice)
         return sentence(why) if why else None
@@ -285,9 +287,9 @@ class Rearrange(Task):
         """Skill or command that `choice_to_json` wrote."""
         return command_from_json(data)
 
-    def last_reward(self, play: Play) -> float:
+    def last_reward(self, play: Rollout) -> float:
         """Reward of the last step."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         return play.reward
 
     # --- recording ----------------------------------------------------------------------------------------------------
@@ -355,9 +357,9 @@ class Rearrange(Task):
             what += f":{episode.pair_starts.places.tolist()}:{[goal_record(target) for target in episode.targets]}"
         return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
 
-    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    def hindsight(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         assert isinstance(episode, RearrangeEpisode)
         alone = [policy.plan for policy in policies] == ["both"]
         return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(episode)}
@@ -425,17 +427,17 @@ class Rearrange(Task):
             policies.append(assigned._replace(policy=policy))
         return policies
 
-    def kept_info(self, recording: Recording, episode: Episode, play: Play) -> dict[str, Any]:
+    def kept_info(self, recording: Recording, episode: Episode, play: Rollout) -> dict[str, Any]:
         """Solo steps of the recording, which a continuation takes over."""
         assert isinstance(episode, RearrangeEpisode)
         solo = recording.episode.info.get("solo_steps")
         return {"solo_steps": solo_steps_of(episode) if solo is None else solo}
 
     def keep_people(
-        self, play: Play, recording: Recording, since: int
+        self, play: Rollout, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
         """People take things and put them down as recorded, except what is not there."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         first = min(since, _track_from(recording))
         tracks = [KeptTrack.of(recording, person.number, play.bodies) for person in play.people]
 
@@ -488,7 +490,7 @@ def _simulated_solo_steps(episode: RearrangeEpisode) -> int:
     first = kinds.index("human") if "human" in kinds else 0
     alone = episode.only(first)
     plan = AssignedPolicy(planner("both", episode.seed, len(episode.targets)), "both", kinds[first], "both")
-    play = RearrangePlay(alone, [plan])
+    play = RearrangeRollout(alone, [plan])
     run(play)
     return play.step + 1
 

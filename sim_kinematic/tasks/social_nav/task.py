@@ -34,7 +34,7 @@ from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, agent_base, agent_floor, rules_dict
-from sim_kinematic.tasks.play import Play, WorldPlay
+from sim_kinematic.tasks.play import Rollout, WorldRollout
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps
 from sim_kinematic.tasks.rules.predicates import is_found
@@ -185,7 +185,7 @@ class SocialNav(Task):
         """Default rules with the distance between starts that the scene set prescribes."""
         return SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
 
-    def view(self, play: WorldPlay, agent: int, world: int) -> Any:
+    def view(self, play: WorldRollout, agent: int, world: int) -> Any:
         """Observation of a policy: a `SocialNavView` for the robot, an `AgentView` for the person."""
         if agent != ROBOT:
             return play.agent_view(agent, world)
@@ -208,7 +208,7 @@ class SocialNav(Task):
             partial(play.pictures, agent, world),
         )
 
-    def _future(self, play: WorldPlay, step: int) -> Callable[[], NDArray[np.float64]] | None:
+    def _future(self, play: WorldRollout, step: int) -> Callable[[], NDArray[np.float64]] | None:
         """The person's positions from this step on, where somebody knows them."""
         policy = play.policies[HUMAN].policy if play.policies else None
         if isinstance(policy, WaypointPolicy):
@@ -222,7 +222,7 @@ class SocialNav(Task):
             check_profile(options["reward"])
 
     # --- rules --------------------------------------------------------------------------------------------------------
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Resets rewards, counters and the person's goals in the worlds ``rows`` [n]."""
         worlds = play.world.worlds
         if play.memory is None:
@@ -249,7 +249,7 @@ class SocialNav(Task):
             worth = state.rewards.reset(self._encounter(play), where=fresh)
             state.success[rows] |= worth.success[rows]
 
-    def judge(self, play: WorldPlay) -> StepOutcome:
+    def judge(self, play: WorldRollout) -> StepOutcome:
         """Computes reward, success and end of a step, with an event when the person is first found."""
         state: SocialNavState = play.memory
         lost = not state.found[0]
@@ -275,7 +275,7 @@ class SocialNav(Task):
             events=self._events(play, state, lost) if play.policies else (),
         )
 
-    def _events(self, play: WorldPlay, state: SocialNavState, lost: bool) -> list[tuple[int, Event]]:
+    def _events(self, play: WorldRollout, state: SocialNavState, lost: bool) -> list[tuple[int, Event]]:
         """Events of a world that is recorded; also takes down where the person is heading for, or where they are."""
         events, step, walker = [], play.step - 1, play.policies[HUMAN].policy
         if not isinstance(walker, WaypointPolicy):
@@ -291,11 +291,11 @@ class SocialNav(Task):
             events.append(Event(step=step, agent=ROBOT, kind="collision", target="human"))
         return [(0, event) for event in events]
 
-    def end_reason(self, play: WorldPlay, world: int) -> str:
+    def end_reason(self, play: WorldRollout, world: int) -> str:
         """The only reason besides the time limit: ``collision``."""
         return "collision"
 
-    def info_of(self, play: WorldPlay) -> dict[str, NDArray[Any]]:
+    def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
         """Distance, success, steps followed and contacts of each world, [W] each."""
         state: SocialNavState = play.memory
         assert state.rewards is not None
@@ -308,7 +308,7 @@ class SocialNav(Task):
             "robot_contact": play.world.state.robots[0].contact.copy(),
         }
 
-    def _look(self, play: WorldPlay, rows: NDArray[np.intp] | None = None) -> None:
+    def _look(self, play: WorldRollout, rows: NDArray[np.intp] | None = None) -> None:
         """Distances and contact in the worlds ``rows`` [n] (default: all)."""
         state: SocialNavState = play.memory
         world, at = play.world, slice(None) if rows is None else rows
@@ -317,7 +317,7 @@ class SocialNav(Task):
         state.collides[at] = world.touching[at, 0]
         state.faces[at] = facing(robot.xz[at], robot.heading[at], person.xz[at])
 
-    def _encounter(self, play: WorldPlay) -> Encounter:
+    def _encounter(self, play: WorldRollout) -> Encounter:
         state: SocialNavState = play.memory
         robot, person = play.world.state.agents
         return Encounter(
@@ -379,13 +379,13 @@ class SocialNav(Task):
             )
         return chosen
 
-    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    def hindsight(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """The person's goals, and the fewest steps ``l`` in which an oracle finds them.
 
         Both follow from the person's whole plan, however long the episode lasted; for a person without a script, from
         the track that they walked.
         """
-        assert isinstance(play, WorldPlay)
+        assert isinstance(play, WorldRollout)
         info: dict[str, Any] = {"ended": play.ended}
         state: SocialNavState = play.memory
         if isinstance(policies[HUMAN].policy, WaypointPolicy):
@@ -410,7 +410,7 @@ def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:
     )
 
 
-def _plan(play: WorldPlay) -> HumanPlan:
+def _plan(play: WorldRollout) -> HumanPlan:
     state: SocialNavState = play.memory
     if state.plan is None:
         state.plan = plan_of(play.episode)

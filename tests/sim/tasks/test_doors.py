@@ -17,7 +17,7 @@ from sim_kinematic.agents.opening.doorways import Doorways
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec, draw_episode
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.runner import Session, simulate
 from tests.examples import examples
@@ -135,7 +135,7 @@ def test_opening_a_door_gives_the_room_behind_it_and_closing_takes_it_back(
 ) -> None:
     session = Session(REARRANGE, episode.only(1), {"human": External()})
     play = session.play
-    assert isinstance(play, RearrangePlay)
+    assert isinstance(play, RearrangeRollout)
     assert play.openables is not None
     assert play.floor is episode.free
     start = play.people[0].xz
@@ -155,6 +155,6 @@ def test_opening_a_door_gives_the_room_behind_it_and_closing_takes_it_back(
     assert verify(session.close()).difference is None
 
 
-def handle(play: RearrangePlay, k: int) -> np.ndarray:
+def handle(play: RearrangeRollout, k: int) -> np.ndarray:
     assert play.openables is not None
     return play.openables.handles(play.openables.positions)[k]
