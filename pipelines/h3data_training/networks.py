@@ -1,6 +1,6 @@
 """The policy in PyTorch, with what only training needs: a critic, an auxiliary head, exploration noise.
 
-`sim_kinematic.policies.pictured` is the same policy in NumPy.
+`sim_kinematic.policies.visual_policy` is the same policy in NumPy.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from torch.nn import functional as F
 from h3data.errors import InputError
 from h3data_training.settings import Settings
 from sim_kinematic.policies.networks.resnet_lstm import ResNetLSTM, pixels_of
-from sim_kinematic.policies.pictured import (
+from sim_kinematic.policies.visual_policy import (
     PATCH,
     PICTURES,
     SPEED_MPS,
     STRIDES,
-    PicturedNetwork,
+    VisualPolicy,
     lengths,
     number_count,
     picture_in,
@@ -32,13 +32,13 @@ Shown = Mapping[str, Tensor]
 
 
 def polar(seen: Tensor) -> Tensor:
-    """As `sim_kinematic.policies.pictured.polar`, [n, 2] -> [n, 6]."""
+    """As `sim_kinematic.policies.visual_policy.polar`, [n, 2] -> [n, 6]."""
     d, a = seen[:, :1], seen[:, 1:]
     return torch.cat([d / 5, (-d / 2).exp(), (-d).exp(), a.cos(), a.sin(), a / math.pi], 1)
 
 
 def spot(seen: Tensor) -> Tensor:
-    """As `sim_kinematic.policies.pictured.spot`, [n, 3] -> [n, 8]."""
+    """As `sim_kinematic.policies.visual_policy.spot`, [n, 3] -> [n, 8]."""
     d = seen.square().sum(1, keepdim=True).sqrt()
     return torch.cat([seen / SPEED_MPS, seen / (d + 0.1), (-2 * d).exp(), (-8 * d).exp()], 1)
 
@@ -183,7 +183,7 @@ class ActorCritic(nn.Module):
                 tensor.copy_(torch.as_tensor(arrays[name]))
 
     def arrays(self) -> dict[str, Any]:
-        """The actor as `sim_kinematic.policies.pictured.PicturedNetwork` names its arrays, float32."""
+        """The actor as `sim_kinematic.policies.visual_policy.VisualPolicy` names its arrays, float32."""
         return {n: t.detach().float().cpu().contiguous().numpy().copy() for n, t in self._named().items()}
 
     def _named(self) -> dict[str, Any]:
@@ -237,7 +237,7 @@ def network(settings: Settings) -> ActorCritic:
     return {"cnn_gru": ActorCritic, "resnet18_lstm": ResNetActorCritic}[settings.network](settings)
 
 
-def begin_with(net: ActorCritic, policy: PicturedNetwork, settings: Settings) -> dict[str, Any]:
+def begin_with(net: ActorCritic, policy: VisualPolicy, settings: Settings) -> dict[str, Any]:
     """Replaces the actor by a trained one; returns what its card says of its training, and of what came before that.
 
     Raises:

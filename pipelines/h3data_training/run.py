@@ -32,7 +32,7 @@ from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
-from sim_kinematic.policies.pictured import PICTURES, PicturedNetwork, PolicyCard, save_pictured
+from sim_kinematic.policies.visual_policy import PICTURES, PolicyCard, VisualPolicy, save_policy
 
 Bank = EpisodeBank | SkillBank
 CHECKPOINT, POLICY = "checkpoint.pt", RUN_POLICY
@@ -42,7 +42,7 @@ STARTS = "starts.npz"
 
 def train(
     folder: Path, settings: Settings, *, seed: int = 0, device: str = "cpu", gpus: int = 1,
-    init: PicturedNetwork | None = None, resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0,
+    init: VisualPolicy | None = None, resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0,
     compile: bool | None = None, name: str = "", bank: Bank | None = None, say: Say = lambda text: None,
 ) -> Result:  # fmt: skip
     """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
@@ -107,7 +107,7 @@ class _Job:
     settings: Settings
     seed: int
     device: str
-    init: PicturedNetwork | None
+    init: VisualPolicy | None
     resume: bool
     stop_after: float | None
     checkpoint_s: float
@@ -275,18 +275,18 @@ class _Run:
                 save_curve(self.curve, self.folder)
                 if self.events is not None:
                     self.events.write(self.curve)
-            save_pictured(self.policy(), self.folder / POLICY)
+            save_policy(self.policy(), self.folder / POLICY)
         except (OSError, RuntimeError) as fault:  # torch reports a full disk as RuntimeError
             if is_last:
                 raise OSError(f"The run could not be saved ({fault}). Folder: {self.folder}") from fault
             self.say(f"could not save ({fault}); training goes on, the last checkpoint is as it was")
 
-    def policy(self) -> PicturedNetwork:
+    def policy(self) -> VisualPolicy:
         """The policy that has been learned so far."""
         s, updates = self.settings, len(self.curve)
         last = {k: v for k, v in self.curve[-1].items() if k in TOLD} if self.curve else {}
         pictured = {*PICTURES, "humanoid_detector"} & set(s.observations)
-        kind = PicturedNetwork if s.network == "cnn_gru" else ResNetPolicy
+        kind = VisualPolicy if s.network == "cnn_gru" else ResNetPolicy
         return kind(
             card=PolicyCard(
                 task=s.task, actions=s.actions, robot=s.robot, observations=s.observations,

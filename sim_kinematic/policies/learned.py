@@ -17,13 +17,13 @@ from h3data.errors import FormatError, InputError
 from h3data.render.light.sources import LightMode
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import network as files
-from sim_kinematic.policies import pictured
+from sim_kinematic.policies import visual_policy
 from sim_kinematic.policies.choosers import chooser_network
-from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork
+from sim_kinematic.policies.choosers.chooser_network import SkillPolicyNetwork
 from sim_kinematic.policies.network import Network
-from sim_kinematic.policies.pictured import PicturedNetwork
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import SocialNavView
+from sim_kinematic.policies.visual_policy import VisualPolicy
 from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
 
 PREFIX = "weights:"
@@ -44,7 +44,7 @@ _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 _IN_LIGHT = re.compile(r"^(?P<name>.+)@(?P<light>baked|flat)$")
 
 Floats = NDArray[np.floating]
-AnyNetwork = Network | PicturedNetwork | ChooserNetwork
+AnyNetwork = Network | VisualPolicy | SkillPolicyNetwork
 
 
 # --- names --------------------------------------------------------------------------------------------------------------
@@ -78,7 +78,7 @@ def stamped(policy: str) -> str:
 
 def network_light(network: AnyNetwork) -> LightMode | None:
     """Light in the colours that a network is shown; None: it sees none."""
-    return network.card.light if isinstance(network, PicturedNetwork) and network.sees_colours else None
+    return network.card.light if isinstance(network, VisualPolicy) and network.sees_colours else None
 
 
 def in_light(policy: str, light: LightMode | None) -> str:
@@ -119,7 +119,7 @@ def network_of(policy: str) -> AnyNetwork:
             f"Hint: weights:{path} takes them as they are."
         )
     if light is not None:
-        if not isinstance(network, PicturedNetwork):
+        if not isinstance(network, VisualPolicy):
             raise InputError(f"The network sees no colours, so light makes no difference to it. Policy: {policy}")
         return network.in_light(light)
     return network
@@ -129,25 +129,25 @@ def network_of(policy: str) -> AnyNetwork:
 def _loaded(path: Path, changed_ns: int) -> AnyNetwork:
     del changed_ns  # a file that has changed is read again
     found, data = files.read_arrays(path)
-    if found == pictured.FILE_FORMAT:
-        return pictured.pictured_from(data, path, kind_of=_kind_of)
+    if found == visual_policy.FILE_FORMAT:
+        return visual_policy.policy_from(data, path, kind_of=_kind_of)
     if found == files.FILE_FORMAT:
         return files.network_from(data, path)
     raise FormatError(
-        f"Expected a file of weights ({files.FILE_FORMAT}) or a trained policy ({pictured.FILE_FORMAT}), got {found}. "
+        f"Expected a file of weights ({files.FILE_FORMAT}) or a trained policy ({visual_policy.FILE_FORMAT}), got {found}. "
         f"{files.HINT} File: {path}"
     )
 
 
-def _kind_of(network: str) -> type[PicturedNetwork] | type[ChooserNetwork]:
+def _kind_of(network: str) -> type[VisualPolicy] | type[SkillPolicyNetwork]:
     """The class of the network that a card names; PyTorch is imported for one that needs it."""
     if network == chooser_network.KIND:
-        return ChooserNetwork
+        return SkillPolicyNetwork
     if network == "resnet18_lstm":
         from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 
         return ResNetPolicy
-    return PicturedNetwork
+    return VisualPolicy
 
 
 # --- social navigation --------------------------------------------------------------------------------------------------
@@ -202,13 +202,13 @@ class LearnedNavigation:
         return Velocity(forward, turn, "follow" if view.met else "find")
 
 
-class PicturedNavigation:
+class VisualNavigation:
     """Learned robot policy of social navigation, with pictures and a recurrent memory.
 
     Each episode needs a policy of its own. An action is repeated for as many steps as in training.
     """
 
-    def __init__(self, network: PicturedNetwork, *, robot: str = "") -> None:
+    def __init__(self, network: VisualPolicy, *, robot: str = "") -> None:
         """Checks that the network fits the robot.
 
         Args:
@@ -218,7 +218,7 @@ class PicturedNavigation:
         Raises:
             FormatError: the network is for another task or another robot.
         """
-        require(network, "social_nav", {**pictured.PICTURES, **pictured.ENCODINGS}, outputs=2)
+        require(network, "social_nav", {**visual_policy.PICTURES, **visual_policy.ENCODINGS}, outputs=2)
         if robot and robot != network.card.robot:
             raise FormatError(f"These weights drive the robot {network.card.robot}, the episode has {robot}.")
         self.network = network
@@ -261,20 +261,20 @@ def naming(policy: str) -> Iterator[None]:
         raise FormatError(f"{fault} Policy: {policy}") from None
 
 
-def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation | PicturedNavigation:
+def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation | VisualNavigation:
     """A fresh player of a network for one episode.
 
     Raises:
         FormatError: the network is for another task or another robot.
     """
-    if isinstance(network, PicturedNetwork):
-        return PicturedNavigation(network, robot=robot)
-    if isinstance(network, ChooserNetwork):
+    if isinstance(network, VisualPolicy):
+        return VisualNavigation(network, robot=robot)
+    if isinstance(network, SkillPolicyNetwork):
         raise FormatError(f"Expected weights for the task social_nav, these are for {network.task!r}.")
     return LearnedNavigation(network)
 
 
-def require(network: Network | PicturedNetwork, task: str, known: Mapping[str, Any], *, outputs: int) -> None:
+def require(network: Network | VisualPolicy, task: str, known: Mapping[str, Any], *, outputs: int) -> None:
     """Refuse a network that is for another task, is shown what we do not have, or answers with other numbers.
 
     Raises:

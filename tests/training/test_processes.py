@@ -26,7 +26,7 @@ from h3data_training.run import CHECKPOINT, POLICY, train
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.learned import network_of
-from sim_kinematic.policies.pictured import PicturedNetwork
+from sim_kinematic.policies.visual_policy import VisualPolicy
 from tests.training.runs import small
 
 BLIND = small(observations=("humanoid_gps", "range_scan"), worlds=8)
@@ -37,9 +37,9 @@ def bank() -> EpisodeBank:
     return make_bank(BLIND, seed=0, workers=1)
 
 
-def policy(folder: Path) -> PicturedNetwork:
+def policy(folder: Path) -> VisualPolicy:
     network = network_of(f"weights:{folder / POLICY}")
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     return network
 
 

@@ -26,7 +26,7 @@ from h3data_training.settings import RECIPES, recipe
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.worlds import HeldWorlds
 from sim_kinematic.policies.learned import network_of
-from sim_kinematic.policies.pictured import PicturedNetwork
+from sim_kinematic.policies.visual_policy import VisualPolicy
 from tests.training.runs import SMALL, small
 from tests.training.torch.capturable import CapturableOnly
 
@@ -52,7 +52,7 @@ def whole(bank: EpisodeBank, tmp_path_factory: Any) -> Path:
 
 def arrays(folder: Path) -> dict[str, np.ndarray]:
     network = network_of(f"weights:{folder / POLICY}")
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     return dict(network.arrays)
 
 
@@ -91,7 +91,7 @@ def test_a_run_leaves_a_policy_and_its_curve(whole: Path) -> None:
     assert [row["decisions"] for row in curve] == [12, 24, 36]
     assert all(np.isfinite(list(row.values())).all() for row in curve)
     network = network_of(f"weights:{whole / POLICY}")
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     card = network.card
     assert (card.task, card.robot, card.hold, card.picture_size) == ("social_nav", "quad_arm", 3, (16, 12))
     assert card.training["recipe"] == "small"
@@ -162,7 +162,7 @@ def test_a_run_that_sees_colours_resumes_exactly_and_plays(bank: EpisodeBank, tm
     policy, first = f"weights:{whole / POLICY}", network_of(f"weights:{whole / POLICY}")
     options = "--scenes h3-homes/train#0 --episodes 1 --max-steps 30"
     assert main(["generate", "social_nav", *options.split(), "--policy", policy, "-o", str(tmp_path / "ds")]) == 0
-    assert isinstance(first, PicturedNetwork)
+    assert isinstance(first, VisualPolicy)
     assert first.card.picture_size == (16, 12)
     assert first.card.light == "baked"
     with pytest.raises(InputError, match="observations="):
@@ -230,7 +230,7 @@ def test_it_trains_without_pictures_too(bank: EpisodeBank, tmp_path: Path) -> No
     thread.start()  # signals are for the main thread alone
     thread.join()
     network = network_of(f"weights:{tmp_path / POLICY}")
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     assert network.card.picture_size is None
 
 
@@ -268,7 +268,7 @@ def test_a_longer_horizon_begins_later_in_proportion() -> None:
 @pytest.mark.slow
 def test_a_trained_policy_is_where_a_run_begins(whole: Path, bank: EpisodeBank, tmp_path: Path) -> None:
     policy = network_of(f"weights:{whole / POLICY}")
-    assert isinstance(policy, PicturedNetwork)
+    assert isinstance(policy, VisualPolicy)
     for critic_updates, same in ((9, True), (1, False)):
         folder = tmp_path / str(critic_updates)
         folder.mkdir()

@@ -27,9 +27,9 @@ from h3data_training.torch.skills.bank import COLUMNS, SkillBank
 from h3data_training.torch.skills.worlds import SkillTensors
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.learned import network_of
-from sim_kinematic.policies.pictured import PicturedNetwork, PolicyCard, save_pictured
 from sim_kinematic.policies.skills.names import recorded_skills, skills_of
 from sim_kinematic.policies.skills.player import NetworkSkill
+from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.skill_judging import judge
 from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, draw_starts
@@ -62,7 +62,7 @@ def whole(bank: SkillBank, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def arrays(folder: Path) -> dict[str, np.ndarray]:
     network = network_of(f"weights:{folder / POLICY}")
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     return dict(network.arrays)
 
 
@@ -70,7 +70,7 @@ def test_a_run_leaves_a_policy_of_a_skill_and_its_curve(whole: Path) -> None:
     assert [row["decisions"] for row in curve_of(whole)] == [12, 24, 36]
     assert {"reward", "succeeded", "failed", "holding"} <= set(curve_of(whole)[0])
     network = network_of(f"weights:{whole / POLICY}")
-    assert isinstance(network, PicturedNetwork)
+    assert isinstance(network, VisualPolicy)
     card = network.card
     assert (card.task, card.actions, card.observations, card.picture_size) == ("skill_pick", 10, OF_THE_ARM, None)
     assert "walk" not in card.training["settings"]
@@ -100,7 +100,7 @@ def test_an_interrupted_run_comes_to_the_same_weights(
 def test_it_gives_what_pytorch_gives() -> None:
     torch.manual_seed(1)
     net = ActorCritic(SMALL)
-    network = PicturedNetwork(
+    network = VisualPolicy(
         card=PolicyCard(
             task=SMALL.task, robot="quad_arm", observations=SMALL.observations, picture_size=None, hold=3, actions=10
         ),
@@ -311,7 +311,7 @@ def test_the_file_of_one_that_sees_is_shown_what_it_saw_in_training(pictured: Pa
     seen: list[np.ndarray] = []
     learned = skills_of(skills, robot="quad_arm")["pick"]
 
-    class Watched(PicturedNetwork):
+    class Watched(VisualPolicy):
         def __call__(self, shown, last, state):
             seen.append(shown["arm_depth"])
             return super().__call__(shown, last, state)
@@ -335,7 +335,7 @@ def test_one_that_sees_plays_in_rearrangement_and_is_verified(tmp_path: Path, ep
     card = PolicyCard(
         task="skill_nav", robot="quad_arm", observations=settings.observations, picture_size=(16, 12), hold=3
     )
-    save_pictured(PicturedNetwork(card=card, arrays=net.arrays()), tmp_path / "nav.npz")
+    save_policy(VisualPolicy(card=card, arrays=net.arrays()), tmp_path / "nav.npz")
     short = replace(episode, spec=replace(episode.spec, skills=str(tmp_path), max_steps=24))
     recording = simulate(Rearrange(), short, {"robot": "greedy_nearest", "human": "both"})
     assert len({tuple(action) for action in recording.columns["agent_0.action"].round(4).tolist()}) > 4

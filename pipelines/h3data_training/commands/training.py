@@ -22,7 +22,7 @@ from h3data_training.commands.folders import run_folder
 if TYPE_CHECKING:
     from h3data_training.run import Result
     from h3data_training.settings import Settings
-    from sim_kinematic.policies.pictured import PicturedNetwork
+    from sim_kinematic.policies.visual_policy import VisualPolicy
 
 
 OF_REARRANGE = ("population", "workers", "episodes_file", "without")
@@ -235,20 +235,20 @@ class Train:
         )  # fmt: skip
 
 
-def _first(name: str) -> PicturedNetwork:
+def _first(name: str) -> VisualPolicy:
     """The trained policy of a name."""
     from sim_kinematic.policies.learned import is_learned, network_of
-    from sim_kinematic.policies.pictured import PicturedNetwork
+    from sim_kinematic.policies.visual_policy import VisualPolicy
 
     network = network_of(name) if is_learned(name) else None
-    if not isinstance(network, PicturedNetwork):
+    if not isinstance(network, VisualPolicy):
         raise InputError(f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.")
     return network
 
 
 def _cost(settings: Settings) -> dict[str, int]:
     """Sizes that decide whether a run fits on a machine [bytes]."""
-    from sim_kinematic.policies.pictured import PICTURES
+    from sim_kinematic.policies.visual_policy import PICTURES
 
     s = settings
     pixels = s.picture_size[0] * s.picture_size[1] * sum(PICTURES.get(name, 0) for name in s.observations)

@@ -18,8 +18,8 @@ from h3data_training.populations.playing import Decisions
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from h3data_training.torch.graph import captured, overwrite
 from sim_kinematic.motion.randomness import episode_seed, generator
-from sim_kinematic.policies.choosers.chooser_network import KIND, ChooserNetwork
-from sim_kinematic.policies.pictured import PolicyCard
+from sim_kinematic.policies.choosers.chooser_network import KIND, SkillPolicyNetwork
+from sim_kinematic.policies.visual_policy import PolicyCard
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
 LEARNED_FROM = ("each", "rest", "allowed", "chosen", "log_prob", "told", "advantage", "target")
@@ -84,7 +84,7 @@ class ChooserLearner:
         for kept in self.optimizer.state.values():
             kept["step"] = kept["step"].to(self.device)
 
-    def network(self, training: dict | None = None) -> ChooserNetwork:
+    def network(self, training: dict | None = None) -> SkillPolicyNetwork:
         """The policy so far."""
         s = self.settings
         card = PolicyCard(
@@ -92,7 +92,7 @@ class ChooserLearner:
             hold=s.think_steps, network=KIND, agent=self.agent, objects=self.objects,
             primitives=self.agent != ROBOT or "primitives" not in s.without, training=training or {},
         )  # fmt: skip
-        return ChooserNetwork(card=card, arrays=self.net.arrays())
+        return SkillPolicyNetwork(card=card, arrays=self.net.arrays())
 
     def update(self, decisions: Decisions, plan: Plan, *, update: int) -> dict[str, float]:
         """Learns from decisions; returns losses by name."""

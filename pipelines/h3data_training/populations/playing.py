@@ -25,8 +25,8 @@ from h3data.errors import H3DataError
 from h3data_training.populations.settings import ROBOT
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork, Floats
-from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
+from sim_kinematic.policies.choosers.chooser_network import Floats, SkillPolicyNetwork
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
@@ -46,7 +46,7 @@ class Job(NamedTuple):
     """Which episode of the pool it is."""
     partner: str
     """A plan, or a learner by name."""
-    networks: Mapping[str, ChooserNetwork]
+    networks: Mapping[str, SkillPolicyNetwork]
     """Of the learners that play, by name."""
     seed: int
     """Of the run."""
@@ -120,10 +120,10 @@ class Batch(NamedTuple):
         return cls(tuple(played for part in parts for played in part.played), joined)
 
 
-class _Sampler(RecurrentChooser):
+class _Sampler(RecurrentSkillPolicy):
     """Chooses at random by the scores, and keeps all it was shown."""
 
-    def __init__(self, network: ChooserNetwork, objects: int, *, robot: bool, rng: np.random.Generator) -> None:
+    def __init__(self, network: SkillPolicyNetwork, objects: int, *, robot: bool, rng: np.random.Generator) -> None:
         super().__init__(network, objects, robot=robot)
         self._rng = rng
         self.rows: list[tuple[Any, ...]] = []

@@ -27,7 +27,7 @@ from h3data_training.populations.pool import bank_of, default_workers, episodes_
 from h3data_training.populations.settings import ROBOT, PopulationSettings
 from h3data_training.running import SPARE_S, Result, Say, one_thread, share_of, stop_asked
 from sim_kinematic.policies.network import RUN_POLICY
-from sim_kinematic.policies.pictured import save_pictured
+from sim_kinematic.policies.visual_policy import save_policy
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ class _Run:
                 self.events.write(self.curve)
             training = self._training()
             for name, learner in self.learners.items():
-                save_pictured(learner.network(training), self.folder / (POLICY if name == ROBOT else f"{name}.npz"))
+                save_policy(learner.network(training), self.folder / (POLICY if name == ROBOT else f"{name}.npz"))
         except (OSError, RuntimeError) as fault:  # torch reports a full disk as RuntimeError
             if is_last:
                 raise OSError(f"The run could not be saved ({fault}). Folder: {self.folder}") from fault

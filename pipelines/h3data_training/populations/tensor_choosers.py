@@ -22,7 +22,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
     ENCODINGS,
     OBSERVATIONS,
     SKILLS_WITH_OBJECT,
-    ChooserNetwork,
+    SkillPolicyNetwork,
     hides,
     rest_count,
 )
@@ -43,7 +43,7 @@ class Row(NamedTuple):
     asked: Tensor
 
 
-class TensorChooser:
+class TensorSkillPolicy:
     """The choosers of one agent of all worlds, one network for each name."""
 
     def __init__(self, sim: RearrangeTensors, play: Play, cast: Sequence[tuple[str, int]], agent: str) -> None:
@@ -162,7 +162,7 @@ class TensorChooser:
 
 
 # --- the network as tensors -----------------------------------------------------------------------------------------------
-def arrays_of(networks: Sequence[ChooserNetwork], device: torch.device) -> dict[str, Tensor]:
+def arrays_of(networks: Sequence[SkillPolicyNetwork], device: torch.device) -> dict[str, Tensor]:
     """The weights of P choosers on a device, [P, ...] each."""
     names = networks[0].arrays
     return {name: torch.as_tensor(np.stack([n.arrays[name] for n in networks]), device=device) for name in names}
@@ -200,7 +200,7 @@ def _inputs(name: str, seen: Tensor) -> Tensor:
 
 
 def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Scores [P, N, C] and next states [P, N, H] of P networks in N worlds each, as `ChooserNetwork.__call__`.
+    """Scores [P, N, C] and next states [P, N, H] of P networks in N worlds each, as `SkillPolicyNetwork.__call__`.
 
     Inputs are [P, N, K, F] for objects, [P, N, R] for the rest, and the states.
     """

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from h3data_training.populations.playing import Batch, Decisions, Job, Played
 from h3data_training.populations.settings import ROBOT
-from h3data_training.populations.tensor_choosers import Row, TensorChooser
+from h3data_training.populations.tensor_choosers import Row, TensorSkillPolicy
 from h3data_training.torch.graph import can_fuse, captured, fused, overwrite
 from h3data_training.torch.rearrange.bank import RearrangeBank, orders
 from h3data_training.torch.rearrange.observations import Paths, View
@@ -107,7 +107,7 @@ class _Worlds:
         self._sim = RearrangeTensors(bank, device=device, planners=planners, interrupts="always", repeats=False)
         self._play = self._sim.before_the_first(torch.zeros(count, dtype=torch.int64))
         self._choosers = [
-            TensorChooser(self._sim, self._play, cast, agent)
+            TensorSkillPolicy(self._sim, self._play, cast, agent)
             for cast, agent in zip(casts, (ROBOT, "human"), strict=False)
         ]
         self._nothing = torch.full((count,), FREE, dtype=torch.int64, device=device)
@@ -189,7 +189,7 @@ def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
 
 
 def _batch(
-    sim: RearrangeTensors, play: Play, jobs: Sequence[Job], choosers: Sequence[TensorChooser], rewards: Tensor
+    sim: RearrangeTensors, play: Play, jobs: Sequence[Job], choosers: Sequence[TensorSkillPolicy], rewards: Tensor
 ) -> Batch:
     at_goal = sim.at_goal(View.of(sim, play, ROBOT).hands, sim.tables.at(play.episode))
     placed = (at_goal & (play.placed_by == 0)).sum(1)

@@ -4,7 +4,7 @@
 object``. All objects go through the same weights, with their number as one of the inputs: what is learned about one holds for
 the other, and yet a policy may keep to one of them. `h3data_training.populations.networks` is the same in PyTorch.
 
-The file is that of `sim_kinematic.policies.pictured`: arrays and a card, nothing in it is executed.
+The file is that of `sim_kinematic.policies.visual_policy`: arrays and a card, nothing in it is executed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from sim_kinematic.agents.skills import PRIMITIVES
-from sim_kinematic.policies.pictured import PolicyCard, affine, digest_of
+from sim_kinematic.policies.visual_policy import PolicyCard, affine, digest_of
 
 Floats = NDArray[np.floating]
 KIND = "gru_chooser"
@@ -135,7 +135,7 @@ def hides(name: str, observations: tuple[str, ...]) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ChooserNetwork:
+class SkillPolicyNetwork:
     """The weights of one policy and what they are for."""
 
     card: PolicyCard

@@ -1,4 +1,4 @@
-"""Plays a `ChooserNetwork`: what may be chosen, when to think again, and the best of it."""
+"""Plays a `SkillPolicyNetwork`: what may be chosen, when to think again, and the best of it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from h3data.errors import FormatError
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.choosers.chooser_network import ChooserNetwork, Floats, encoded
+from sim_kinematic.policies.choosers.chooser_network import Floats, SkillPolicyNetwork, encoded
 from sim_kinematic.policies.rearrange_observations import observe
 from sim_kinematic.policies.views import RearrangeView
 
@@ -20,7 +20,7 @@ ALERT_M, ALERT_STEPS = 4.0, 5
 what was 4 m away may be here in 0.8 s."""
 
 
-class RecurrentChooser:
+class RecurrentSkillPolicy:
     """Policy that samples among the `allowed` actions by their scores, as in training.
 
     Random numbers follow from the episode's seed. Taking the best action would be worse: a greedy policy can turn left
@@ -31,7 +31,7 @@ class RecurrentChooser:
     action is sampled.
     """
 
-    def __init__(self, network: ChooserNetwork, objects: int = 2, *, robot: bool = True) -> None:
+    def __init__(self, network: SkillPolicyNetwork, objects: int = 2, *, robot: bool = True) -> None:
         """Checks that the network fits the agent, and starts with an empty memory.
 
         Args:

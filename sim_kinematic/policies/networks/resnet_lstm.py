@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from sim_kinematic.policies.pictured import PICTURES, Floats, PicturedNetwork, PolicyCard, number_count, picture_in
+from sim_kinematic.policies.visual_policy import PICTURES, Floats, PolicyCard, VisualPolicy, number_count, picture_in
 
 KIND = "resnet18_lstm"
 GROUPS = 16
@@ -142,17 +142,17 @@ def pixels_of(picture: Tensor) -> Tensor:
     return seen.permute(0, 3, 1, 2).half()
 
 
-class ResNetPolicy(PicturedNetwork):
+class ResNetPolicy(VisualPolicy):
     """The policy in a file whose card names this network, evaluated by PyTorch in one thread."""
 
     kind = KIND
 
     def start(self) -> Floats:
-        """As of `PicturedNetwork`."""
+        """As of `VisualPolicy`."""
         return np.zeros(2 * LAYERS * self.arrays["lstm.weight_hh_l0"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """As of `PicturedNetwork`."""
+        """As of `VisualPolicy`."""
         numbers = torch.as_tensor(self._numbers(shown, last))[None]
         pixels = pixels_of(torch.as_tensor(np.ascontiguousarray(self._picture(shown)))[None]) if self.sees else None
         with torch.no_grad(), one_thread():
@@ -168,14 +168,14 @@ class ResNetPolicy(PicturedNetwork):
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-        """As of `PicturedNetwork`."""
+        """As of `VisualPolicy`."""
         with torch.device("meta"):
             net = _net(card, arrays)
         return {name: tuple(tensor.shape) for name, tensor in net.named_parameters()}
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """As of `PicturedNetwork`."""
+        """As of `VisualPolicy`."""
         return "" if all(LEAST_SIDE <= side <= 1024 for side in size) else f"sides of {LEAST_SIDE} to 1024"
 
 

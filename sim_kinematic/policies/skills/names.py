@@ -10,8 +10,8 @@ from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from sim_kinematic.policies.learned import PREFIX, network_of, stamped
 from sim_kinematic.policies.network import RUN_POLICY
-from sim_kinematic.policies.pictured import PicturedNetwork
 from sim_kinematic.policies.skills.player import TASKS, NetworkSkill
+from sim_kinematic.policies.visual_policy import VisualPolicy
 
 LEARNED = "learned"
 """The three skills that come with the package."""
@@ -86,7 +86,7 @@ def _found(names: tuple[str, ...], robot: str) -> Mapping[str, NetworkSkill]:
     found: dict[str, NetworkSkill] = {}
     for name in names:
         network = network_of(name)
-        if not isinstance(network, PicturedNetwork):
+        if not isinstance(network, VisualPolicy):
             raise FormatError(
                 f"Expected weights of a skill, these are for {network.task!r}. File: {name.removeprefix(PREFIX)}"
             )

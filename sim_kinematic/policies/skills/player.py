@@ -13,8 +13,8 @@ from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.skills import Action, Skill, SkillResult
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.pictured import BASE_ACTIONS, PicturedNetwork
 from sim_kinematic.policies.skills.observations import SENSES, SkillView, observe
+from sim_kinematic.policies.visual_policy import BASE_ACTIONS, VisualPolicy
 
 TASKS = {"skill_nav": ("nav_to_object", "nav_to_goal"), "skill_pick": ("pick",), "skill_place": ("place",)}
 """The skills of the upper layer that a policy file stands for, by the task on its card."""
@@ -26,7 +26,7 @@ BEGINS_WITHIN_M = 6.0
 class NetworkSkill:
     """One learned skill of a robot, played by a network; each time it starts, its recurrent state begins anew."""
 
-    def __init__(self, network: PicturedNetwork, *, robot: str = "", rules: SkillSpec | None = None) -> None:
+    def __init__(self, network: VisualPolicy, *, robot: str = "", rules: SkillSpec | None = None) -> None:
         """Checks that the network fits the robot.
 
         Args:

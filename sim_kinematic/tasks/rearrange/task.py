@@ -28,7 +28,7 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, commo
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
-from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, naming
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
@@ -204,7 +204,7 @@ class Rearrange(Task):
             policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
         else:
             policy, plan = robot_policy(name, objects), ""
-        if isinstance(policy, RecurrentChooser):
+        if isinstance(policy, RecurrentSkillPolicy):
             policy.seed = seed
             if kind == "robot":
                 with naming(name):
