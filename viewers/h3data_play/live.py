@@ -103,7 +103,7 @@ class PatientSink:
             self.fault = fault.__cause__.strerror or str(fault.__cause__)
 
 
-class Table:
+class EpisodeFactory:
     """Where episodes of a plan come from, in one process."""
 
     def __init__(self, plan: PlayPlan) -> None:
@@ -211,7 +211,9 @@ def _read(path: Path) -> Recording | None:
 class LiveGame:
     """One episode under way."""
 
-    def __init__(self, table: Table, index: int, path: Path | None = None, order: GameOrder | None = None) -> None:
+    def __init__(
+        self, table: EpisodeFactory, index: int, path: Path | None = None, order: GameOrder | None = None
+    ) -> None:
         plan, episode = table.plan, table.episode(index)
         names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
         policies: dict[str, Any] = dict(names)

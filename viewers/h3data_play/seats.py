@@ -68,7 +68,7 @@ def token_digest(token: str) -> str:
 
 
 @dataclass
-class Journal:
+class SeatLog:
     """Seats and games of a folder, in memory and in its SQLite file. What the disk does not take is not in memory either."""
 
     folder: Path

@@ -18,7 +18,7 @@ import msgspec
 from aiohttp import web
 
 from h3data_play.connections import runner_of
-from h3data_play.front import SEATS_PER_ADDRESS, Front
+from h3data_play.front import SEATS_PER_ADDRESS, WebServer
 from h3data_play.plan import PlayPlan
 from h3data_play.workers import Refused
 
@@ -47,7 +47,7 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     stays: bool = False
     """Whether it goes on after the last episode."""
 
-    def front(self, **given: Any) -> Front:
+    def front(self, **given: Any) -> WebServer:
         """The front of what is played; `given` are the options that all fronts have."""
         raise NotImplementedError
 
@@ -58,9 +58,9 @@ class PlayServeOptions(ServeOptions, frozen=True, kw_only=True):
     plan: PlayPlan
     tables: int = 1
 
-    def front(self, **given: Any) -> Front:
+    def front(self, **given: Any) -> WebServer:
         """Server of the session."""
-        return Front(self.plan, tables=self.tables, **given)
+        return WebServer(self.plan, tables=self.tables, **given)
 
 
 def require_safe(options: ServeOptions) -> None:
@@ -135,7 +135,7 @@ def _hear(stops: asyncio.Event) -> None:
         stops.set()
 
 
-async def _listen(front: Front, runner: web.AppRunner, options: ServeOptions, report: Any) -> None:
+async def _listen(front: WebServer, runner: web.AppRunner, options: ServeOptions, report: Any) -> None:
     await runner.setup()
     tls = None
     if options.cert:

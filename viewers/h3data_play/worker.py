@@ -29,7 +29,7 @@ from h3data.recording import Recording, pack_mcap, write_mcap
 from h3data.scene.articulation import joints_of
 from h3data_play import assets
 from h3data_play.channel import Channel, Closed
-from h3data_play.live import LiveGame, Table, disk_fault
+from h3data_play.live import EpisodeFactory, LiveGame, disk_fault
 from h3data_play.messages import (
     PERIOD_S,
     Act,
@@ -118,7 +118,7 @@ class Worker:
 
     def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
         self.channel = channel
-        self.plans, self.tables = plans, {0: Table(plans[0])}
+        self.plans, self.tables = plans, {0: EpisodeFactory(plans[0])}
         self.period = PERIOD_S / plans[0].speed if plans[0].speed else 0.0
         self.games: dict[str, Running] = {}
         self.stops, self.finishes = False, True
@@ -131,10 +131,10 @@ class Worker:
         """Orders of games for whose beginning the disk has no room."""
         self._tried = time.monotonic()
 
-    def table(self, number: int) -> Table:
+    def table(self, number: int) -> EpisodeFactory:
         """The table of plan ``number``."""
         if number not in self.tables:
-            self.tables[number] = Table(self.plans[number])
+            self.tables[number] = EpisodeFactory(self.plans[number])
         return self.tables[number]
 
     def made(self, plan: int, index: int) -> dict[str, Any]:
@@ -523,7 +523,7 @@ _HANDLERS = {
 }
 
 
-def rehearse(table: Table) -> None:
+def rehearse(table: EpisodeFactory) -> None:
     """Plays an episode that nobody sees, to compile and load all kernels.
 
     Kernels that are loaded only when somebody first walks, takes something or gives way would stop a live world for a

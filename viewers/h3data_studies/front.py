@@ -16,7 +16,7 @@ from aiohttp import web
 from msgspec import Meta
 
 from h3data_play.connections import Failed, Live
-from h3data_play.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, Front
+from h3data_play.front import ELSEWHERE, PAGE, SEATS_PER_ADDRESS, WebServer
 from h3data_play.plan import GameOrder
 from h3data_play.seats import Game, Seat, new_token, uptime
 from h3data_studies.design import StudyPlan
@@ -113,7 +113,7 @@ class Episode(msgspec.Struct, frozen=True):
     trial: int | None = None
 
 
-class StudyFront(Front):
+class StudyServer(WebServer):
     """All participants of one study."""
 
     journal: StudyStore
@@ -133,9 +133,9 @@ class StudyFront(Front):
             secure: whether browsers connect through TLS.
             report: called with messages for the user of the command line.
             seats_per_address: number of simultaneous participants for one network address.
-            behind_proxy: as for `Front`.
-            hosts: as for `Front`.
-            clock: as for `Front`.
+            behind_proxy: as for `WebServer`.
+            hosts: as for `WebServer`.
+            clock: as for `WebServer`.
         """
         self.study, self.design = study, study.design
         super().__init__(
@@ -459,7 +459,7 @@ class StudyFront(Front):
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """As of `Front`, if the page is about the episode that is next."""
+        """As of `WebServer`, if the page is about the episode that is next."""
         body = await self._read(request, Episode)
         participant = self._participant(request)
         if participant is not None and participant.is_active:

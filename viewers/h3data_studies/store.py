@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from h3data_play.seats import Game, Journal, Seat, uptime
+from h3data_play.seats import Game, Seat, SeatLog, uptime
 from h3data_studies.design import Design, Place
 from h3data_studies.flow import ACTIVE, COMPLETE, Progress
 
@@ -67,7 +67,7 @@ class Participant:
         return self.progress.status == ACTIVE
 
 
-class StudyStore(Journal):
+class StudyStore(SeatLog):
     """The journal of seats and games of a study, and its participants."""
 
     def __init__(
