@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import Array, heading_from_quat
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.opening.openables import Openables, stands_clear
+from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
 from sim_kinematic.agents.person import MotionResult, Person, Transition
 from sim_kinematic.agents.person import Skill as Motion
-from sim_kinematic.agents.person_clearance import ReachRoom
+from sim_kinematic.agents.person_clearance import BodyClearance
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Objects, Skill, SkillResult
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.yielding import NO_PATH, Seen, crowds, in_the_way, path_around, shut_off, waits
+from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, crowds, in_the_way, path_around, shut_off, waits
 from sim_kinematic.motion.gait import move_people, walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
@@ -74,15 +74,15 @@ class PersonActor:
     objects: Objects
     number: int = HUMAN
     """Of the agent."""
-    room: ReachRoom | None = None
+    room: BodyClearance | None = None
     """Checks where the body would be; None: nobody does."""
-    others: tuple[Seen, ...] = ()
+    others: tuple[ObservedAgent, ...] = ()
     """Who else is there, the nearest first."""
     agreed: bool = False
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
     """Whether the person touches somebody now: then they stay where they were."""
-    openables: Openables | None = None
+    openables: ArticulatedParts | None = None
     """Doors and drawers; None: nothing opens."""
     path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True

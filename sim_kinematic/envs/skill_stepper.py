@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
     from sim_kinematic.sensing.camera_sensor import StateRenderer
-    from sim_kinematic.sensing.watching import Watcher
+    from sim_kinematic.sensing.watching import DebugRenderer
 
 Level = Literal["high", "low"]
 KINDS = ("robot", "human")
@@ -214,7 +214,7 @@ class SkillStepper:
         episode = self._begun().episode
         return {"scene": np.array([episode.scene.name], object), "episode_seed": np.array([episode.seed])}
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
         """Picture of the world for people who watch, uint8 [480, 640, 3]."""
         del world
         return watcher.picture(self._stage.posed(self._begun(), self._light), KINDS.index(agent))

@@ -23,7 +23,7 @@ from sim_kinematic.sensing.sensor import NoiseModel
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
-    from sim_kinematic.sensing.watching import Watcher
+    from sim_kinematic.sensing.watching import DebugRenderer
 
 __all__ = ["DEFAULTS", "Info", "ManySteppers", "Options", "Stepper", "checked_actions", "gymnasium"]
 
@@ -98,7 +98,7 @@ class Stepper(Protocol):
         """Which episode each world plays, [W] each."""
         ...
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
         """One world for people who watch, uint8 [480, 640, 3]; ``watcher`` is the one that follows this world.
 
         Raises:
@@ -153,7 +153,7 @@ class ManySteppers:
         """Scene and seed of the episode in each world, [W] each."""
         return _joined([stepper.episode_info() for stepper in self.each])
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
         """Picture of one world for people who watch, uint8 [480, 640, 3]."""
         return self.each[world].picture(agent, watcher)
 

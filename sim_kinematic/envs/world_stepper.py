@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
     from sim_kinematic.sensing.camera_sensor import StateRenderer
-    from sim_kinematic.sensing.watching import Watcher
+    from sim_kinematic.sensing.watching import DebugRenderer
 
 STATE_OBSERVATIONS = ("humanoid_gps", "egomotion")
 """Default observations: they cost no picture."""
@@ -199,7 +199,7 @@ class WorldStepper:
             "episode_seed": np.array([e.seed for e in self.play.episodes], np.int64),
         }
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
         """Picture of one world for people who watch, uint8 [480, 640, 3]."""
         if not self.play.episodes:
             raise InputError("No episode has begun. Hint: call reset() first.")

@@ -35,7 +35,7 @@ ARM_RAD_S = 8.0
 """Arms stay folded; whatever has unfolded them, they fold at this speed."""
 
 
-class Rover(RobotActor):
+class RobotTrafficAgent(RobotActor):
     """A robot that drives about."""
 
     def go_to(self, goal: NDArray[np.float64]) -> Skill:
@@ -50,12 +50,12 @@ class Rover(RobotActor):
         return Velocity(0.0, 0.0) if self.hindered_by else Velocity(*self.command)
 
 
-class Stroller(PersonActor):
+class WalkingAgent(PersonActor):
     """A person who walks about, in the motion clip that the world plays."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.figure = cast("ClipFigure", self.person)
+        self.figure = cast("ClipBody", self.person)
 
     @property
     def xz(self) -> NDArray:
@@ -89,7 +89,7 @@ class Stroller(PersonActor):
         self.figure.gait = posture
 
 
-class ClipFigure:
+class ClipBody:
     """The part of `Person` that walking needs, posed by a motion clip."""
 
     look_at = None
@@ -164,14 +164,14 @@ class Traffic:
             actor.meets = partial(self._tracker.meets, actor)
             actor.yields = False  # until it takes a turn: whoever follows another policy makes way for nobody
 
-    def _actor(self, number: int, floor: FreeSpace) -> Rover | Stroller:
+    def _actor(self, number: int, floor: FreeSpace) -> RobotTrafficAgent | WalkingAgent:
         world, body = self._world, self._world.roster[number].body
         if isinstance(body, Robot):
-            return Rover(body, floor, world.bases[number], self._objects, 0.0, ARM_RAD_S, number)
-        figure = ClipFigure(body, world.clips[number], floor, world.walker.arms)
-        return Stroller(cast(Person, figure), floor, world.walker, self._objects, number)
+            return RobotTrafficAgent(body, floor, world.bases[number], self._objects, 0.0, ARM_RAD_S, number)
+        figure = ClipBody(body, world.clips[number], floor, world.walker.arms)
+        return WalkingAgent(cast(Person, figure), floor, world.walker, self._objects, number)
 
-    def begin_turn(self, number: int, step: int) -> Rover | Stroller:
+    def begin_turn(self, number: int, step: int) -> RobotTrafficAgent | WalkingAgent:
         """Returns an agent as it is in the world, with what it knows of the others."""
         if step != self._step:
             self._begin_step(step)

@@ -11,7 +11,7 @@ from sim_kinematic.agents.waypoint_walker import WaypointHuman
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.policies.policy import GaitAction, PoseAction, Velocity, WaypointAction
-from sim_kinematic.policies.traffic import Rover, Stroller
+from sim_kinematic.policies.traffic import RobotTrafficAgent, WalkingAgent
 from sim_kinematic.policies.views import AgentView
 
 ATTEMPTS = 3
@@ -49,7 +49,7 @@ class WanderPolicy:
         traffic.end_turn(view.agent)
         return actor.choice()
 
-    def _goes_on(self, actor: Rover | Stroller) -> bool:
+    def _goes_on(self, actor: RobotTrafficAgent | WalkingAgent) -> bool:
         """Makes the next step to the goal, else to another one; returns whether there was one to make."""
         if self._going is None:
             actor.path = NO_PATH

@@ -28,8 +28,8 @@ BETTER = 0.25
 """Another side must be so much better, else the camera stays."""
 
 
-class Watcher:
-    """Camera that follows one agent of one world.
+class DebugRenderer:
+    """Renderer for people who watch: its camera follows one agent of one world.
 
     It looks from the same side of the world until walls or furniture hide the agent, then changes to the side from
     which most of the agent is visible.
@@ -54,7 +54,7 @@ class Watcher:
         return drawn.picture([_camera(target, self._side, SIZE)], ("rgb",))["rgb"][0]
 
     def __repr__(self) -> str:
-        return f"Watcher(side {self._side} of {SIDES})"
+        return f"DebugRenderer(side {self._side} of {SIDES})"
 
 
 def _camera(target: Array, side: int, size: tuple[int, int]) -> Camera:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.opening.openables import Openables
+from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.robots.arm_clearance import ArmClearance
 from sim_kinematic.agents.robots.hand_reach import (
     reach_bearing,
@@ -25,7 +25,7 @@ from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import braking_speed, eased, keep_clear
-from sim_kinematic.avoidance.yielding import NO_PATH, Seen, avoided, discs_of, path_around, retreat_place
+from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, avoided, discs_of, path_around, retreat_place
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import ROBOT, RobotState
@@ -60,7 +60,7 @@ class RobotDriver:
     """Tests where its arm has room; None: it has room everywhere."""
     avoids: bool = True
     """Whether its base keeps clear of other agents (`keep_clear`), in every skill."""
-    others: tuple[Seen, ...] = ()
+    others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     agreed: bool = False
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
@@ -72,7 +72,7 @@ class RobotDriver:
     hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
     """The last command of its base, -1..1 of the limits."""
-    openables: Openables | None = None
+    openables: ArticulatedParts | None = None
     """Doors and drawers; None: nothing opens."""
     arm_goal: Array = field(init=False)
     """Joint positions towards which the arm moves in every step [J]."""
@@ -342,7 +342,7 @@ class RobotDriver:
         dx, dz = goal_x - x, goal_z - z
         return float(wrap_angle(np.arctan2(-dz, dx) - bearing - self.heading))
 
-    def _seen(self) -> list[Seen]:
+    def _seen(self) -> list[ObservedAgent]:
         """Other agents that are near enough for `keep_clear`.
 
         One that holds something counts as moving, however long it has been standing.
@@ -402,7 +402,7 @@ class RobotDriver:
             self.base = self._carrying_base
 
 
-def _has_come_near(other: Seen, stood: dict[int, NDArray], xz: NDArray) -> bool:
+def _has_come_near(other: ObservedAgent, stood: dict[int, NDArray], xz: NDArray) -> bool:
     """Whether another agent is no longer where it stood when a maneuver was planned, and near the robot at ``xz`` [2]."""
     if float(np.hypot(*(other.xz - xz))) > AVOIDANCE.retreat_m:
         return False

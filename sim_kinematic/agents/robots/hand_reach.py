@@ -39,7 +39,7 @@ REACH_SLACK_M = 0.01
 """Far more than the tolerances of the search let a hand be off its target."""
 
 
-class Reached(NamedTuple):
+class ReachPostures(NamedTuple):
     """Postures for targets [*batch]."""
 
     joint_pos: NDArray[np.float64]
@@ -48,15 +48,15 @@ class Reached(NamedTuple):
     """Whether the hand gets there, [*batch]."""
 
 
-def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> Reached:
+def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> ReachPostures:
     """Finds postures for pose7 targets [*batch, 7] of the hand in the agent root frame; options as of `solve_ik`."""
     if len(robot.require_arm()) >= ALL_DIRECTIONS:
         answer = solve_ik(robot, robot.hand_name, target, q0, offset=robot.hand_position, restarts=restarts)
-        return Reached(answer.joint_pos, answer.reached)
+        return ReachPostures(answer.joint_pos, answer.reached)
     free = _with_free_yaw(robot)
     start = None if q0 is None else np.append(q0, 0.0)
     answer = solve_ik(free, free.hand_name, target, start, offset=free.hand_position, restarts=restarts)
-    return Reached(answer.joint_pos[..., :-1], answer.reached)
+    return ReachPostures(answer.joint_pos[..., :-1], answer.reached)
 
 
 def is_beyond_reach(robot: Robot, hand: Array) -> bool:

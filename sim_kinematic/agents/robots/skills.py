@@ -14,7 +14,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
-from sim_kinematic.agents.opening.openables import Openables, stands_clear
+from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
 from sim_kinematic.agents.opening.skills import Leading, full_way, handle_way, stands_before, why_not
 from sim_kinematic.agents.robots.arm_clearance import reach_line
 from sim_kinematic.agents.robots.driving import RobotDriver
@@ -91,7 +91,7 @@ class RobotActor(RobotDriver):
         is_open = clearance is None or clearance.is_open(np.append(self.xz, self.heading), point)
         return "" if is_open else "no_room"
 
-    def _barred(self, openables: Openables, action: Action) -> str:
+    def _barred(self, openables: ArticulatedParts, action: Action) -> str:
         """Why doors and drawers stand against an action."""
         k = action.target
         if action.skill in ("open", "close"):

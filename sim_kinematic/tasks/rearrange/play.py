@@ -25,8 +25,8 @@ from h3data.scene.articulation import AJAR, joint_names
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
 from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.opening.doorways import DETOUR_M, Doorways
-from sim_kinematic.agents.opening.openables import Openables
+from sim_kinematic.agents.opening.doorways import DETOUR_M, RoomDoors
+from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.oracle.actors import DiscContacts, OraclePerson, OracleRobot
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_clearance import reach_room
@@ -235,7 +235,7 @@ class RearrangeRollout:
         state.object_pose[0] = [t.start for t in world.targets]
         self.state = state
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state, joints)
-        self.doorways = Doorways.of(world.scene, world.free)
+        self.doorways = RoomDoors.of(world.scene, world.free)
         self.floor = world.free
         """As it is now, with the doors and drawers that are open."""
         self.openables, self._scene = self._openables(), world.scene
@@ -320,12 +320,12 @@ class RearrangeRollout:
             object_room=ObjectRoom(world.scene, self.objects.names, world.free.floor_y), radius_m=spec.agent_radius_m,
         )  # fmt: skip
 
-    def _openables(self) -> Openables | None:
+    def _openables(self) -> ArticulatedParts | None:
         """The doors and drawers of the home at their rest positions; None if nothing opens."""
         world = self.episode
         if not self.objects.joints:
             return None
-        found = Openables(
+        found = ArticulatedParts(
             world.scene, self.objects, world.free.floor_y, discs=self._discs_of, agents=len(world.roster),
             doors=frozenset(self.doorways.joints),
         )  # fmt: skip

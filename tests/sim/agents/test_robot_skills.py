@@ -18,7 +18,7 @@ from sim_kinematic.agents.skills import Action, Objects, SkillResult
 from sim_kinematic.agents.stands import robot_stands
 from sim_kinematic.avoidance.robot_base import CARRIED_M, base_of, carrying_base_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.yielding import Seen
+from sim_kinematic.avoidance.yielding import ObservedAgent
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
 from sim_kinematic.motion.state import WorldState
 
@@ -55,8 +55,8 @@ def test_it_turns_to_a_near_point_instead_of_driving_round_it(free: FreeSpace, d
         assert left <= ARRIVED_M
 
 
-def seen(xz: np.ndarray, *, settled: bool = True) -> Seen:
-    return Seen(1, xz, np.zeros(2), settled, False)
+def seen(xz: np.ndarray, *, settled: bool = True) -> ObservedAgent:
+    return ObservedAgent(1, xz, np.zeros(2), settled, False)
 
 
 def test_who_waits_gets_out_of_the_way_of_a_person_who_is_near(free: FreeSpace) -> None:

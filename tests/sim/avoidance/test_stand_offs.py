@@ -19,7 +19,7 @@ from sim_kinematic.agents.skills import ALL_SKILLS, Action, SkillResult
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.stand_offs import Errand
-from sim_kinematic.avoidance.yielding import NO_PATH, Seen, shut_off
+from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, shut_off
 from sim_kinematic.policies.rearrange import Planner
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import simulate
@@ -185,7 +185,7 @@ def test_who_stands_against_whom_they_flee_goes_on_only_from_some_way_off() -> N
 
 
 def test_places_behind_who_stands_in_a_doorway_are_shut_off(rooms: FreeSpace) -> None:
-    stands = Seen(1, np.array([5.25, 2.0]), np.zeros(2), True, False)
+    stands = ObservedAgent(1, np.array([5.25, 2.0]), np.zeros(2), True, False)
     places = np.array([[2.0, 1.0], [9.0, 2.0]])
     assert shut_off(rooms, np.array([4.0, 2.0]), places, [stands]).tolist() == [False, True]
     moves = stands._replace(velocity=np.array([1.0, 0.0]))

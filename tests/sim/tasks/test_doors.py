@@ -13,7 +13,7 @@ from h3data.replay.validation import validate_recording
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.articulation import joints_of, posed
 from sim_kinematic.agents.driven.commands import Close, Open
-from sim_kinematic.agents.opening.doorways import Doorways
+from sim_kinematic.agents.opening.doorways import RoomDoors
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec, draw_episode
@@ -37,7 +37,7 @@ def free(home: Scene) -> FreeSpace:
 @pytest.fixture(scope="module")
 def episode(home: Scene, free: FreeSpace) -> RearrangeEpisode:
     """One thing, to be brought through a door that is closed."""
-    doorways = Doorways.of(home, free)
+    doorways = RoomDoors.of(home, free)
     for seed in range(40):
         found = rearrange_episode(home, seed=seed, free=free, spec=RearrangeSpec(objects=1))
         (target,) = found.targets
@@ -113,7 +113,7 @@ def test_homes_that_do_not_open_have_no_trace_of_it() -> None:
 
 def test_things_that_both_cannot_get_at_are_not_drawn(home: Scene, free: FreeSpace, episode: RearrangeEpisode) -> None:
     """Whatever is drawn is reached with all doors open, whichever of them are closed."""
-    ways = Doorways.of(home, free).open_floor
+    ways = RoomDoors.of(home, free).open_floor
     for seed in range(examples(3)):
         _, targets = draw_episode(home, free, seed, RearrangeSpec(), episode.robot, episode.human)
         for target in targets:
