@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 
-class HeldSteps:
+class ActionRepeat:
     """The part of a `h3data_training.ppo.Worlds` that all tasks share.
 
     A world whose episode ends on the way begins the next one at once; what it gains after that is not counted.

@@ -18,18 +18,18 @@ from h3data.plugins import own_version
 from h3data_training import checkpoints
 from h3data_training.curve import EventLog, save_curve
 from h3data_training.episodes import make_bank
-from h3data_training.launch import Stop, launch
+from h3data_training.launch import StopRequest, launch
 from h3data_training.networks import begin_with
 from h3data_training.ppo import Learner, schedule
 from h3data_training.ranks import Ranks, connect, leave, own_place, torchrun_place
-from h3data_training.running import SPARE_S, Result, Say, one_thread, share_of, stop_asked
+from h3data_training.running import SPARE_S, RunResult, Say, one_thread, share_of, stop_asked
 from h3data_training.settings import Settings
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import SkillSettings
-from h3data_training.skills.worlds import HeldSkills
+from h3data_training.skills.worlds import ActionRepeatSkills
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.skills.bank import SkillBank
-from h3data_training.worlds import HeldWorlds
+from h3data_training.worlds import ActionRepeatEnv
 from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 from sim_kinematic.policies.visual_policy import PICTURES, PolicyCard, VisualPolicy, save_policy
@@ -44,7 +44,7 @@ def train(
     folder: Path, settings: Settings, *, seed: int = 0, device: str = "cpu", gpus: int = 1,
     init: VisualPolicy | None = None, resume: bool = False, stop_after: float | None = None, checkpoint_s: float = 30.0,
     compile: bool | None = None, name: str = "", bank: Bank | None = None, say: Say = lambda text: None,
-) -> Result:  # fmt: skip
+) -> RunResult:  # fmt: skip
     """Trains until the run is over, ``stop_after`` minutes have passed, or somebody interrupts it, and saves.
 
     On the CPU, a run that was interrupted and goes on comes to the very weights of one that was not, if its length is given in
@@ -133,7 +133,7 @@ class _Job:
         return bank
 
 
-def _work(job: _Job, stop: Stop, say: Say) -> Result:
+def _work(job: _Job, stop: StopRequest, say: Say) -> RunResult:
     """The work of one process."""
     ranks, device = own_place(job.device)
     if not ranks.is_first:
@@ -153,13 +153,13 @@ def _work(job: _Job, stop: Stop, say: Say) -> Result:
 
 def worlds_of(
     settings: Settings, bank: Bank, *, device: str, compile: bool | None = None, count: int | None = None
-) -> HeldWorlds | HeldSkills:
+) -> ActionRepeatEnv | ActionRepeatSkills:
     """The worlds that settings ask for, in the episodes of a bank."""
     if isinstance(settings, SkillSettings):
         assert isinstance(bank, SkillBank)
-        return HeldSkills(settings, bank, device=device, compile=compile, count=count)
+        return ActionRepeatSkills(settings, bank, device=device, compile=compile, count=count)
     assert isinstance(bank, EpisodeBank)
-    return HeldWorlds(settings, bank, device=device, compile=compile, count=count)
+    return ActionRepeatEnv(settings, bank, device=device, compile=compile, count=count)
 
 
 def _silent(line: str) -> None:
@@ -205,7 +205,7 @@ class _Run:
     def share(self) -> float:
         return share_of(self.settings, self.curve, self.seconds, self.setups_s)
 
-    def go(self, stop: Stop) -> Result:
+    def go(self, stop: StopRequest) -> RunResult:
         job, is_first = self.job, self.ranks.is_first
         limit = float("inf") if job.stop_after is None else job.stop_after * 60 - SPARE_S / 2
         saved = said = time.monotonic()
@@ -239,7 +239,7 @@ class _Run:
         done = self.share >= 1
         self._save(is_last=True)
         updates = len(self.curve)
-        return Result(
+        return RunResult(
             folder=self.folder, done=done, updates=updates, decisions=updates * self.settings.decisions_per_update,
             seconds=self.seconds, setup_s=self.setup_s, last=dict(self.curve[-1]) if self.curve else {},
         )  # fmt: skip

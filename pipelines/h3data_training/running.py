@@ -18,7 +18,7 @@ SPARE_S = 10.0
 Say = Callable[[str], None]
 
 
-class Length(Protocol):
+class RunLength(Protocol):
     """Settings that say how long a run is."""
 
     @property
@@ -33,7 +33,7 @@ class Length(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class RunResult:
     """Result of a call of `train`."""
 
     folder: Path
@@ -56,7 +56,7 @@ class Result:
         }  # fmt: skip
 
 
-def share_of(settings: Length, curve: list[Any], seconds: float, setups_s: float) -> float:
+def share_of(settings: RunLength, curve: list[Any], seconds: float, setups_s: float) -> float:
     """Progress, 0..1: by updates where their number is given, else by the time spent learning."""
     if settings.updates:
         return min(len(curve) / settings.updates, 1.0)

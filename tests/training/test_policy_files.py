@@ -21,7 +21,7 @@ from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_training.episodes import make_bank, rules
 from h3data_training.networks import ActorCritic, actor_numbers, picture
 from h3data_training.settings import Settings
-from h3data_training.worlds import HeldWorlds
+from h3data_training.worlds import ActionRepeatEnv
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import visual_policy
 from sim_kinematic.policies.learned import VisualNavigation, navigation_of, network_of, stamped
@@ -126,7 +126,7 @@ def test_device_and_simulator_show_the_same(seen: str, light: Any) -> None:
     episode = task.sample(bank.scenes[0], bank.floors[0], int(bank.seeds[0]), spec, source.roster)
     watched = Watched(untrained(settings, light=light))
     run(task.play(episode, task.assign(episode, {"robot": watched}), measure=False))
-    worlds = HeldWorlds(settings, bank, device="cpu", compile=False, hold=1)
+    worlds = ActionRepeatEnv(settings, bank, device="cpu", compile=False, hold=1)
     shown, _ = worlds.reset(seed=0)
     pixels = 0.0
     for exact, action in watched.rows:

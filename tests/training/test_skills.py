@@ -21,7 +21,7 @@ from h3data_training.run import POLICY, train
 from h3data_training.skills.cpu_cameras import CpuSkillCameras
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import OF_THE_ARM, SkillSettings, skill_recipe
-from h3data_training.skills.worlds import HeldSkills
+from h3data_training.skills.worlds import ActionRepeatSkills
 from h3data_training.torch.skills import driving
 from h3data_training.torch.skills.bank import COLUMNS, SkillBank
 from h3data_training.torch.skills.worlds import SkillTensors
@@ -124,7 +124,7 @@ def test_it_gives_what_pytorch_gives() -> None:
 
 
 def test_episodes_are_cut_short_and_count_once(bank: SkillBank) -> None:
-    worlds = HeldSkills(replace(SMALL, limit=6), bank, device="cpu")
+    worlds = ActionRepeatSkills(replace(SMALL, limit=6), bank, device="cpu")
     worlds.reset(seed=[0, 1, 2, 3])
     still = torch.zeros(4, 10)
     over = [worlds.held(still)[2:5] for _ in range(3)]  # six steps, then a decision that begins the next episode
@@ -133,12 +133,12 @@ def test_episodes_are_cut_short_and_count_once(bank: SkillBank) -> None:
     assert timed_out.all()
     assert idle.all()
     assert not any(flags[0].any() for flags in over[:2])
-    assert worlds.totals[HeldSkills.counts.index("ended")] == 4
+    assert worlds.totals[ActionRepeatSkills.counts.index("ended")] == 4
 
 
 def test_before_an_episode_has_ended_there_is_no_length_of_one(bank: SkillBank) -> None:
-    worlds = HeldSkills(SMALL, bank, device="cpu")
-    total = dict.fromkeys((*HeldSkills.counts, "reward"), 0.0) | {"steps": 3072.0}
+    worlds = ActionRepeatSkills(SMALL, bank, device="cpu")
+    total = dict.fromkeys((*ActionRepeatSkills.counts, "reward"), 0.0) | {"steps": 3072.0}
     assert runs.figures_of(worlds.figures(total)) == "no episode has ended"
     assert runs.figures_of(worlds.figures(total | {"ended": 12.0})) == "succeeded 0%  failed 0%  256 steps"
 
@@ -185,13 +185,13 @@ def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str, observati
     """Those who are told the way to the stand, and those who are not."""
     own = replace(bank, holds=np.full(len(bank), skill == "place"))
     settings = replace(SMALL, skill=skill, near_share=0.0, observations=observations)  # type: ignore[arg-type]
-    worlds = HeldSkills(settings, own, device="cpu")
+    worlds = ActionRepeatSkills(settings, own, device="cpu")
     worlds.reset(seed=[0, 1, 2, 3])
     for _ in range(80):
         action = worlds.taught()
         assert action.shape == (4, worlds.sim.action_width)
         worlds.held(action)
-    total = dict(zip(HeldSkills.counts, worlds.totals.tolist(), strict=True))
+    total = dict(zip(ActionRepeatSkills.counts, worlds.totals.tolist(), strict=True))
     assert total["succeeded"] >= 3
     assert total["failed"] == 0
 
@@ -199,7 +199,7 @@ def test_the_teacher_does_what_it_teaches(bank: SkillBank, skill: str, observati
 @pytest.mark.parametrize("teacher", [False, True])
 def test_a_decision_can_be_part_of_a_graph(bank: SkillBank, teacher: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driving, "_on_cpu", lambda robot: False)
-    learner = Learner(SMALL, HeldSkills(SMALL, bank, device="cpu", compile=False), seed=0)
+    learner = Learner(SMALL, ActionRepeatSkills(SMALL, bank, device="cpu", compile=False), seed=0)
     learner.update(schedule(SMALL, 0.0, 10))
     assert set(learner._decide) == {False, True}
     with CapturableOnly(), torch.no_grad():
@@ -286,7 +286,7 @@ def test_one_that_learns_from_pictures_goes_on_exactly(
 
 
 def test_worlds_show_pictures_of_the_state_after_the_last_step(bank: SkillBank) -> None:
-    worlds = HeldSkills(PICTURED, bank, device="cpu")
+    worlds = ActionRepeatSkills(PICTURED, bank, device="cpu")
     shown, _ = worlds.reset(seed=[0, 1, 2, 3])
     assert shown["arm_depth"].shape == (4, 12, 16, 1)
     assert 0 <= shown["arm_depth"].min() < shown["arm_depth"].max() <= 1

@@ -13,7 +13,7 @@ from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.scene.scene_sets import SceneFile
-from h3data_pipelines.jobs.episodes import Choices, Draw, Job, checked, chosen_count, make_jobs, refuse_beside
+from h3data_pipelines.jobs.episodes import Choices, Job, SampledEpisode, checked, chosen_count, make_jobs, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import is_failed
 from h3data_pipelines.jobs.running import simulate_job
 
@@ -36,7 +36,7 @@ class FileJobs(NamedTuple):
     """What stands in for something missing."""
 
 
-class Lacking(Protocol):
+class MissingEpisodes(Protocol):
     """What was made of an episode file."""
 
     @property
@@ -50,7 +50,7 @@ class Lacking(Protocol):
         ...
 
 
-def notes_on(made: Lacking) -> str:
+def notes_on(made: MissingEpisodes) -> str:
     """Lines on what a file lacks, each after a line break."""
     lines = []
     for word, texts in (("left out", made.left_out), ("warning:", made.warnings)):
@@ -162,7 +162,7 @@ def file_jobs(
         if storage.is_complete(stored):
             refuse_beside("--episodes-file", **given)
         origin = {"file": path.name, "sha256": digest, "episode": i, "episode_id": str(entry.episode_id)}
-        drawn = Draw(i, stored.seed, entry.scene_id, source, origin)
+        drawn = SampledEpisode(i, stored.seed, entry.scene_id, source, origin)
         told = choices.agents is not None or choices.human is not None
         agents = {} if told else {"agents": None}
         jobs.append(choices.job(drawn, spec=choices.spec(rules), stored=stored, **agents))

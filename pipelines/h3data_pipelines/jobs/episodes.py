@@ -182,7 +182,7 @@ class Choices:
             rules[name] = asked
         return with_options(base, human_walk=self.human_walk, human_speed=self.human_speed, **rules)
 
-    def job(self, drawn: Draw, **more: Any) -> Job:
+    def job(self, drawn: SampledEpisode, **more: Any) -> Job:
         """The job of one sampled episode."""
         given = {"human": self._human(drawn.seed), "agents": self._agents(drawn.seed), **more}
         if "spec" not in given:
@@ -247,7 +247,7 @@ def with_skills(choices: Choices, skills: str) -> Choices:
 
 
 @dataclass(frozen=True)
-class Draw:
+class SampledEpisode:
     """One episode that is sampled from its seed, whatever the task."""
 
     index: int
@@ -329,7 +329,7 @@ class SampledJobs(Sequence[Job]):
             return SampledJobs(self._choices, self._places, self._numbers[index], seed=self._seed)
         number = self._numbers[index]
         place = self._places[number % len(self._places)]
-        drawn = Draw(number, episode_seed(self._seed, number), place.name, place.source)
+        drawn = SampledEpisode(number, episode_seed(self._seed, number), place.name, place.source)
         return self._choices.job(drawn, spec=self._spec)
 
     @property
@@ -350,7 +350,7 @@ def most_steps(jobs: Sequence[Job]) -> int:
     return sum(job.spec.max_steps for job in jobs)
 
 
-def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[Draw]:
+def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[SampledEpisode]:
     """The first ``episodes`` episodes of a set; with another ``seed`` than 0, others."""
     for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
         entry, index = scenes.place(i)
@@ -363,7 +363,7 @@ def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterat
             "sha256": scenes.sha256,
         }
         drawn = scenes.episode_seed(entry.id, index, seed=seed)
-        yield Draw(i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin)
+        yield SampledEpisode(i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin)
 
 
 def refuse_beside(option: str, **given: bool) -> None:

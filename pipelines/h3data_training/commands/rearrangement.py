@@ -17,7 +17,7 @@ from h3data_training.commands.folders import run_folder
 
 if TYPE_CHECKING:
     from h3data_training.populations.settings import PopulationSettings
-    from h3data_training.running import Result
+    from h3data_training.running import RunResult
 
 CHECKPOINT_BYTES = 3 << 20
 """About what a checkpoint takes for each learner, with its moments."""
@@ -87,7 +87,7 @@ def _plan(settings: PopulationSettings, workers: int | None) -> str:
     )
 
 
-def _summary(result: Result, settings: PopulationSettings) -> str:
+def _summary(result: RunResult, settings: PopulationSettings) -> str:
     row = result.last
     figures = (
         f"in the last update success {row['success']:.0%}, contact {row['collided']:.0%}, {row['steps_per_episode']:.0f} steps"

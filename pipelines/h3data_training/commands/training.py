@@ -20,7 +20,7 @@ from h3data.terminal import counted
 from h3data_training.commands.folders import run_folder
 
 if TYPE_CHECKING:
-    from h3data_training.run import Result
+    from h3data_training.run import RunResult
     from h3data_training.settings import Settings
     from sim_kinematic.policies.visual_policy import VisualPolicy
 
@@ -270,7 +270,7 @@ def _plan(settings: Settings) -> str:
     )
 
 
-def _summary(result: Result, task: str) -> str:
+def _summary(result: RunResult, task: str) -> str:
     from h3data_training.run import figures_of
 
     figures = figures_of(result.last).replace("  ", ", ") if result.last else "no update"

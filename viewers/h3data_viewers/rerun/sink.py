@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(eq=False)
-class HeldStream:
+class DeferredStream:
     """Buffer for the calls of a Rerun stream until `release`.
 
     Viewers play everything before the layout, but the names that a layout needs are known only after everything is
@@ -46,7 +46,7 @@ Rows = NDArray[np.integer] | Sequence[int]
 class Sink:
     """A Rerun stream bound to the time column and the root entity of one recording."""
 
-    stream: rr.RecordingStream | HeldStream
+    stream: rr.RecordingStream | DeferredStream
     time_ns: NDArray[np.int64]
     """Column ``time_ns`` of the recording, shape [T]."""
     label: str = ""
