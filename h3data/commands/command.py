@@ -96,9 +96,13 @@ class Command(Protocol):
     """A command: a dataclass of its options with a method that runs it."""
 
     @property
-    def json(self) -> bool: ...
+    def json(self) -> bool:
+        """Whether the command prints its result as JSON instead of text."""
+        ...
 
-    def run(self) -> Outcome: ...
+    def run(self) -> Outcome:
+        """Runs the command and returns its result, which the command line prints."""
+        ...
 
 
 @dataclass(frozen=True)

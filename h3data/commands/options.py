@@ -47,6 +47,7 @@ class Option:
 
     @property
     def name(self) -> str:
+        """Name of the option in messages: its flags, or the field in capitals for a positional argument."""
         return "/".join(self.flags) or self.field.upper()
 
     @property
@@ -65,6 +66,7 @@ def _annotated(kind: Any, metadata: tuple[Any, ...]) -> Any:
 
 @functools.cache
 def options_of(command: type[Command]) -> tuple[Option, ...]:
+    """Options of a command, one for each field of its dataclass, in the order of the fields."""
     hints = get_type_hints(command, include_extras=True)
     return tuple(_option(field, hints[field.name]) for field in dataclasses.fields(cast(Any, command)))
 
@@ -218,8 +220,11 @@ def in_python_words(message: str, command: type[Command]) -> str:
 
 
 def command_line(name: str, command: Command) -> str:
-    """The command as it is typed, without options that change nothing in its result; folders outside are cut off paths,
-    as datasets are given to others."""
+    """Command line that repeats a command, without options that do not affect its result.
+
+    Paths are shortened to their last part where they lead outside the working folder, since the line is stored in
+    datasets that are given to others.
+    """
     assert dataclasses.is_dataclass(command)
     words = ["h3data", *name.split()]
     for option in options_of(type(command)):

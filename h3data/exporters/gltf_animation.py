@@ -232,8 +232,10 @@ class _Writer:
 
 
 def _held(poses: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Poses [T, ..., 7] with those that are absent replaced by the one before (at the beginning by the first), and which
-    steps [T] have all of them."""
+    """Poses [T, ..., 7] with gaps filled, and which steps [T] had no gap.
+
+    An absent pose is replaced by the last one before it; at the beginning, by the first one after it.
+    """
     there: NDArray[np.bool_] = np.asarray(np.isfinite(poses).reshape(len(poses), -1).all(1))
     if not there.any():
         still = np.zeros_like(poses)

@@ -1,5 +1,7 @@
-"""Models of objects as people hold them: folders of the YCB set, and Habitat's object configs; with mass and grasp, and put
-into a home in place of its own things."""
+"""Models of objects: folders of the YCB set, and Habitat's object configs.
+
+They have mass and grasps, and can replace a home's own objects.
+"""
 
 from __future__ import annotations
 
@@ -74,12 +76,14 @@ class ObjectModel:
 
 
 def load_object_models(path: str | Path, *, assets: Sequence[str | Path] = ()) -> dict[str, ObjectModel]:
-    """Objects by name: of one folder of the YCB set (``003_cracker_box`` with ``google_16k/textured.obj``), of one
-    ``*.object_config.json``, or of all of these in a folder, such as Habitat's ``objects/ycb``.
+    """Loads objects by name.
+
+    They come from one folder of the YCB set (``003_cracker_box`` with ``google_16k/textured.obj``), one
+    ``*.object_config.json``, or a folder of these, such as Habitat's ``objects/ycb``.
 
     Args:
-        path: The folder or file.
-        assets: Further folders in which the meshes that a config names are looked for.
+        path: folder or file.
+        assets: further folders in which the meshes that a config names are searched.
 
     Raises:
         InputError: there is no such path, or no object in it.

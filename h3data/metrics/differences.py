@@ -180,8 +180,11 @@ def compare_runs(
 
 
 def pairing_names(first: MetricsTable, second: MetricsTable) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names by which the episodes of two runs are paired: their ids; where these repeat, as in evaluations of a robot with
-    several partners, ``3 with both``; where these repeat too, ``3 complement with both``."""
+    """Names that identify the same episode in two runs, one name per row of each table.
+
+    They are the episodes' ids. Where ids repeat, as in evaluations of a robot with several partners, the partner is
+    added (``3 with both``); where these repeat too, the policy as well (``3 complement with both``).
+    """
     names = first.episode_ids, second.episode_ids
     if any(map(_repeated, names)):
         names = _with_partners(first), _with_partners(second)

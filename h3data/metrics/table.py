@@ -235,7 +235,7 @@ def tabulate(
 
 
 def legend(metrics: Iterable[Metric]) -> str:
-    """The names of metrics spelled out in one line: ``S: finding success; CR: collision rate.``"""
+    """One line that spells out the names of metrics, such as ``S: finding success; CR: collision rate.``."""
     return "; ".join(f"{m.name}: {m.title[:1].lower()}{m.title[1:]}" for m in metrics) + "."
 
 

@@ -87,8 +87,10 @@ def _consecutive(stored: Sequence[StoredEpisode], most_steps: int) -> Iterator[l
 
 
 def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
-    """Cameras of which every one of these episodes has a video, all of the same size. Episodes without steps, and those that
-    cannot be read, do not count."""
+    """Cameras of which all of the given episodes have a video of the same size.
+
+    Episodes without steps and episodes that cannot be read do not count.
+    """
     common: list[VideoFeature] | None = None
     for of in stored:
         try:
@@ -106,7 +108,9 @@ def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
 class HasEpisodes(Protocol):
     """A dataset, or `Episodes`."""
 
-    def all(self) -> Episodes: ...
+    def all(self) -> Episodes:
+        """All episodes, in the order in which they are stored."""
+        ...
 
 
 class Episodes(Sequence[Recording]):

@@ -180,8 +180,10 @@ class Episode:
 
     @property
     def plants_feet(self) -> bool:
-        """Whether people walk with planted feet, as they do since schema 1.5: in replays of those recorded by clips, and when
-        an episode is simulated again."""
+        """Whether people walk with planted feet, as they do since schema 1.5.
+
+        It applies to replays of people recorded by motion clips, and to episodes that are simulated again.
+        """
         return is_since(self.schema_version, PLANTED_SINCE)
 
     @property

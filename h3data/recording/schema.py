@@ -308,8 +308,10 @@ def info_to_json(info: Mapping[str, Any]) -> str:
 
 
 def current_info(task: str, version: str, info: str) -> str:
-    """JSON of `Episode.info` with the names that policies have now: before `PAPERS_EXPERT_SINCE`, ``heuristic_expert`` was the
-    name of social navigation's ``rollout_expert``."""
+    """JSON of `Episode.info` with the present names of policies.
+
+    Before `PAPERS_EXPERT_SINCE`, social navigation's ``rollout_expert`` was called ``heuristic_expert``.
+    """
     if task != "social_nav" or is_since(version, PAPERS_EXPERT_SINCE):
         return info
     return info.replace('"heuristic_expert"', '"rollout_expert"')

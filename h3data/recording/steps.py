@@ -73,7 +73,8 @@ class Steps(ABC):
         )
 
     @abstractmethod
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Releases files and memory; the steps cannot be read afterwards."""
 
     def __enter__(self) -> Self:
         return self

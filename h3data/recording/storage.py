@@ -68,18 +68,22 @@ class RemotePath:
 
     @property
     def name(self) -> str:
+        """Last part of the path."""
         return self.path.rpartition("/")[2]
 
     @property
     def stem(self) -> str:
+        """Last part of the path without its suffix."""
         return PurePosixPath(self.name).stem
 
     @property
     def suffix(self) -> str:
+        """Suffix of the last part, with its dot; empty if there is none."""
         return PurePosixPath(self.name).suffix
 
     @property
     def parent(self) -> RemotePath:
+        """Folder that contains this path; the bucket itself for a bucket."""
         return self._at(self.path.rpartition("/")[0] or self.path)
 
     @property
@@ -92,18 +96,27 @@ class RemotePath:
         return folders
 
     def relative_to(self, folder: RemotePath) -> PurePosixPath:
+        """Path within a folder that contains this one.
+
+        Raises:
+            ValueError: the path does not lie in the folder.
+        """
         return PurePosixPath(self.path).relative_to(folder.path)
 
     def with_name(self, name: str) -> RemotePath:
+        """Path in the same folder with another last part."""
         return self.parent / name
 
     def exists(self) -> bool:
+        """Whether there is a file or folder at this path."""
         return self._info().type != pafs.FileType.NotFound
 
     def is_dir(self) -> bool:
+        """Whether there is a folder at this path."""
         return self._info().type == pafs.FileType.Directory
 
     def is_file(self) -> bool:
+        """Whether there is a file at this path."""
         return self._info().type == pafs.FileType.File
 
     def iterdir(self) -> Iterator[RemotePath]:
@@ -126,6 +139,7 @@ class RemotePath:
             return self.filesystem.open_input_file(self.key)
 
     def read_bytes(self) -> bytes:
+        """Content of the file."""
         with self.open_input() as stream:
             return stream.read()
 
@@ -140,11 +154,13 @@ class RemotePath:
                 shutil.copyfileobj(source, stream, _CHUNK)
 
     def unlink(self) -> None:
+        """Deletes the file."""
         with _allowed("delete", self):
             self.filesystem.delete_file(self.key)
 
     @property
     def filesystem(self) -> pafs.FileSystem:
+        """File system of pyarrow that serves this URI; shared by all paths of one scheme and host."""
         return _filesystem(self.scheme, self.path.partition("/")[0], self.query)[0]
 
     @property

@@ -45,13 +45,14 @@ class Camera:
         return replace(self, pose=np.asarray(pose, np.float64))
 
     def resized(self, width: int, height: int, *, crop: bool = True) -> Camera:
-        """The same camera with pictures of another size [px]: its axis stays, pixels stay square if they are; an
-        equirectangular one keeps both fields of view.
+        """Same camera with pictures of another size [px].
+
+        Its axis does not change, and square pixels stay square; an equirectangular camera keeps both fields of view.
 
         Args:
-            width: New width.
-            height: New height.
-            crop: Whether to keep the horizontal field of view even where a flatter picture loses its top and bottom; else
+            width: new width.
+            height: new height.
+            crop: whether to keep the horizontal field of view even where a flatter picture loses its top and bottom; otherwise
                 everything in view stays in view, and a narrow picture sees more at its sides instead.
         """
         across, down = width / self.width, height / self.height

@@ -74,8 +74,11 @@ def _depth_palette() -> NDArray[np.uint8]:
 
 @lru_cache(maxsize=1)
 def _palette() -> NDArray[np.uint8]:
-    """Colours by id, followed by `MISS_COLOR`, shape [1025, 3]: hues in steps of the golden ratio, alternating saturation
-    and brightness, so that neighbouring ids differ clearly."""
+    """Colours by id, followed by `MISS_COLOR`, shape [1025, 3].
+
+    Hues advance in steps of the golden ratio with alternating saturation and brightness, so that neighbouring ids
+    differ clearly.
+    """
     colors = [
         colorsys.hsv_to_rgb((0.13 + 0.6180339887 * k) % 1, (0.55, 0.8, 0.4)[k % 3], (0.95, 0.8, 0.65, 0.9)[k % 4])
         for k in range(_PALETTE_SIZE)

@@ -71,8 +71,11 @@ def draw_label(
 
 
 def draw_depth_scale(image: NDArray[np.uint8], near: float, far: float) -> None:
-    """Draws the colours of `h3data.render.depth_to_rgb` from ``near`` to ``far`` [m] into the lower left corner of a depth
-    picture [H, W, 3], with both numbers. Pictures smaller than 96 x 64 stay as they are."""
+    """Draws a scale of depth colours into the lower left corner of a depth picture [H, W, 3].
+
+    It has the colours of `h3data.render.depth_to_rgb` from ``near`` to ``far`` [m], with both numbers. Pictures smaller
+    than 96 x 64 are not changed.
+    """
     import cv2
 
     height, width = image.shape[:2]

@@ -176,8 +176,11 @@ class RayCaster:
         return ~(blocked & (distance > 0))
 
     def normals(self, hits: Hits, toward: ArrayLike) -> NDArray[np.float32]:
-        """Unit world normals [..., 3] at hits, smooth if the mesh has vertex normals, on the side of the surface that faces
-        the direction ``toward`` [..., 3]; 0 for misses."""
+        """Unit world normals [..., 3] at hits; 0 for misses.
+
+        They are smooth if the mesh has vertex normals, and are on the side of the surface that faces the direction
+        ``toward`` [..., 3].
+        """
         out = np.zeros((*hits.instance.shape, 3), np.float32)
         mask = hits.instance >= 0
         view = np.broadcast_to(np.asarray(toward, np.float64), out.shape)[mask]

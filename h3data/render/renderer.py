@@ -70,15 +70,16 @@ class Renderer:
         worlds: int = 1,
         threads: int = 1,
     ) -> None:
-        """
+        """Prepares a scene for a back end.
+
         Args:
-            scene: The scene.
-            light: Light; default `Light()`.
+            scene: the scene.
+            light: light; default `Light()`.
             backend: ``cpu`` (rasteriser, NumPy arrays), ``gpu`` (CUDA, torch tensors that stay on the device), ``rays``
                 (Embree, NumPy arrays) or ``auto``: ``gpu`` if there is one, else ``cpu``. With ``auto`` on a GPU, cast
                 shadows and non-perspective cameras are rendered on the CPU and copied to the device.
-            worlds: Number of worlds.
-            threads: Number of threads that render a batch on the CPU.
+            worlds: number of worlds.
+            threads: number of threads that render a batch on the CPU.
 
         Raises:
             InputError: there is no such back end.
@@ -95,8 +96,10 @@ class Renderer:
 
     # --- state ----------------------------------------------------------------------------------------------------
     def set_transforms(self, indices: ArrayLike, matrices: ArrayLike, *, world: int = 0) -> None:
-        """Sets the transforms [n, 4, 4] or [n, 3, 4], mesh to world, of instances [n]; NaN hides one until it is set
-        again."""
+        """Sets the transforms [n, 4, 4] or [n, 3, 4] of instances [n], mesh to world.
+
+        NaN hides an instance until its transform is set again.
+        """
         index = self._checked(indices)
         m = np.asarray(matrices, np.float64)
         if m.ndim == 2:

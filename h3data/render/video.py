@@ -61,16 +61,17 @@ class VideoWriter:
         preset: str | None = None,
         key_frames: int | None = None,
     ) -> None:
-        """
+        """Opens the file and the encoder.
+
         Args:
-            path: The file to write.
-            width: Width of the frames [px].
-            height: Height of the frames [px].
-            fps: Frames per second.
-            codec: Video codec.
-            crf: Quality, 0 is best; default 23 for H.264, 32 for AV1.
-            preset: Effort of the encoder, in the terms of x264 or SVT-AV1.
-            key_frames: Frames from one key frame to the next, for H.264, without B-frames: a decoder that jumps to a frame
+            path: file to write.
+            width: width of the frames [px].
+            height: height of the frames [px].
+            fps: frames per second.
+            codec: video codec.
+            crf: quality, 0 is best; default 23 for H.264, 32 for AV1.
+            preset: effort of the encoder, in the terms of x264 or SVT-AV1.
+            key_frames: frames from one key frame to the next, for H.264, without B-frames: a decoder that jumps to a frame
                 decodes this many at most. By default the encoder decides.
         """
         if width < 1 or height < 1 or not fps > 0:

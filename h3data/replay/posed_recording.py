@@ -291,8 +291,10 @@ class PosedRecording:
         return np.broadcast_to(self._drawables[index].matrix.astype(np.float32), (len(rows), 4, 4))
 
     def joint_motions(self, steps: NDArray[np.integer]) -> Array:
-        """World matrices [T, J, 4, 4] by which the joints of the home have moved things from where ``recording.bodies`` has
-        them, at ``steps``; J = 0 where nothing opens."""
+        """World matrices by which doors, drawers and other joints have moved at ``steps``, [T, J, 4, 4].
+
+        Each maps points from where ``recording.bodies`` has them; J = 0 in scenes without joints.
+        """
         if self._joints is None:
             return np.zeros((len(steps), 0, 4, 4))
         return self._joints.motions(self.recording.columns[JOINTS][steps].astype(np.float64))
@@ -326,15 +328,19 @@ class PosedRecording:
 
     @cached_property
     def heights(self) -> NDArray[np.float64]:
-        """How high the floor of the recorded home is at a place (`h3data.scene.floor_heights`), [K, 10]; K = 0: it is level, or
-        unknown."""
+        """Floor heights of the recorded home in the form of `h3data.scene.floor_heights`, [K, 10].
+
+        K = 0 if the floor is level or its height unknown.
+        """
         return LEVEL if self.scene is None else room_heights(self.scene.rooms)
 
     @cached_property
     def plants_feet(self) -> bool:
-        """Whether people who are recorded by clips walk with planted feet (`h3data.bodies.people.planted_gait`), and strides of
-        robots depend on their speed (`h3data.bodies.robots.trot`): since schema 1.5. Older recordings are posed as they were
-        when they were made."""
+        """Whether people recorded by motion clips walk with planted feet, and robots' strides depend on their speed.
+
+        This is so since schema 1.5 (`h3data.bodies.people.planted_gait`, `h3data.bodies.robots.trot`); older recordings
+        are posed as they were when they were made.
+        """
         return self.recording.episode.plants_feet
 
     def _gait_of(self, agent: int, body: Humanoid) -> Array:

@@ -312,11 +312,13 @@ class Stage:
 
 
 def chosen_backend(backend: FrameBackend) -> Literal["cpu", "gpu"]:
-    """Who draws frames: ``gpu`` (h3data docs gpu says how equal its pictures are; views without perspective are the CPU's),
-    ``cpu``, or with ``auto`` the GPU if there is one.
+    """Renderer for a requested back end: ``cpu`` or ``gpu``; ``auto`` means the GPU if there is one.
+
+    The page `gpu` of the documentation says how the pictures differ. Views without perspective are always rendered on
+    the CPU.
 
     Raises:
-        InputError: there is no such back end, or no GPU for ``gpu``.
+        InputError: there is no such back end, or ``gpu`` was requested without a GPU.
     """
     if backend not in get_args(FrameBackend):
         raise InputError(

@@ -67,8 +67,10 @@ class SceneJoints:
         return self.shares(positions) >= AJAR
 
     def motions(self, positions: ArrayLike) -> NDArray[np.float64]:
-        """World matrices [..., J, 4, 4] that bring what each joint moves from where the scene has it to where it is with the
-        joints at ``positions`` [..., J]."""
+        """World matrices [..., J, 4, 4] by which each joint moves its part at joint ``positions`` [..., J].
+
+        They map points from where the scene has them.
+        """
         positions = np.asarray(positions, np.float64)
         out = np.empty((*positions.shape, 4, 4))
         first = 0

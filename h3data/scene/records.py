@@ -1,5 +1,8 @@
-"""Records of a scene: assets (meshes, collision parts, receptacles), their instances in the world, things that open, rooms,
-lights."""
+"""Records of a scene.
+
+They are assets (meshes, collision parts, receptacles), their instances in the world, doors and drawers, rooms, and
+lights.
+"""
 
 from __future__ import annotations
 
@@ -296,6 +299,7 @@ class Scene:
 
     @property
     def static_instances(self) -> tuple[Instance, ...]:
+        """Instances that never move."""
         return tuple(i for i in self.instances if i.motion == "static")
 
     @property

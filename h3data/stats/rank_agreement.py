@@ -1,4 +1,4 @@
-"""Agreement of two rankings: do automatic evaluation and one with people put the same methods in the same order?"""
+"""Agreement of two rankings of methods, such as one by automatic evaluation and one by a study with people."""
 
 # The coefficients are scipy's (tests compare them); written out here over all resamples at once, because 10,000 calls of
 # scipy.stats.kendalltau take seconds.

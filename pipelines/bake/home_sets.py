@@ -1,8 +1,10 @@
-"""Write `datasets/h3-homes` or, with ``--generation 2``, `datasets/h3-homes-v2`: ``python -m bake.home_sets --choose`` picks
-the homes of the three splits and writes them down; without ``--choose`` only the tables of the card are measured again.
+"""Write `datasets/h3-homes` or, with ``--generation 2``, `datasets/h3-homes-v2`.
 
-Sizes are spread evenly on a logarithmic scale, rooms follow from them. A seed is taken only if the home is without faults
-(`h3data scenes validate`) and the episodes of the split can be drawn in it.
+``python -m bake.home_sets --choose`` picks the homes of the three splits and writes them down; without ``--choose``
+only the tables of the card are measured again.
+
+Sizes are spread evenly on a logarithmic scale, and the rooms follow from them. A seed is taken only if the home has no
+faults (`h3data scenes validate`) and the episodes of the split can be sampled in it.
 """
 
 from __future__ import annotations
@@ -52,6 +54,7 @@ class Split:
 
     @property
     def rules(self) -> SocialNavRules:
+        """Rules by which episodes are sampled in the homes of the split."""
         return SocialNavRules(episodes_per_scene=self.episodes, spawn_distance_m=self.spawn_distance_m)
 
 
@@ -204,6 +207,7 @@ def updated_card(text: str, parts: dict[str, str]) -> str:
 
 
 def main() -> None:
+    """Chooses homes if asked to, and writes the tables of the card."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--choose", action="store_true", help="pick the homes anew")

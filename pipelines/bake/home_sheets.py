@@ -1,5 +1,7 @@
-"""Contact sheets of homes of the second generation: ``python -m bake.home_sheets docs/pictures`` writes ``kinds.jpg``,
-``styles.jpg``, ``room_kinds.jpg`` and ``generations.jpg``; further words choose some of them.
+"""Contact sheets of homes of the second generation.
+
+``python -m bake.home_sheets docs/pictures`` writes ``kinds.jpg``, ``styles.jpg``, ``room_kinds.jpg`` and
+``generations.jpg``; further words choose some of them.
 """
 
 from __future__ import annotations
@@ -65,6 +67,7 @@ def kind_picture(kind: Kind, *, size_px: int = CELL_PX, look: Look = "mid_centur
 
 
 def mesh_picture(mesh: Mesh, *, size_px: int = CELL_PX) -> Picture:
+    """Picture of a mesh on a plain background, uint8 [size_px, size_px, 3]."""
     low, high = mesh.bounds.astype(float)
     middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     eye = middle + 4.2 * radius * np.array([0.42, 0.42, 0.8])
@@ -154,6 +157,7 @@ SHEETS: Mapping[str, Callable[[], Picture]] = {
 
 
 def main() -> None:
+    """Renders and writes the sheets."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", help=f"some of {', '.join(SHEETS)} (default: all)")

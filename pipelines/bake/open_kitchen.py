@@ -48,6 +48,7 @@ def view_of(scene: Scene) -> Camera:
 
 
 def main(path: str) -> None:
+    """Renders the kitchens and writes the picture."""
     rows = []
     for seed in SEEDS:
         scene = build_home(HomeSpec(seed=seed, articulated=True))

@@ -30,8 +30,8 @@ untrained() { # SEED: random weights, as training begins with them
     mkdir -p "$trained/untrained.$1"
     [ -f "$file" ] || python3 -c "import sys
 from h3data_training.populations import learner, settings
-from sim_kinematic.policies.pictured import save_pictured
-save_pictured(learner.ChooserLearner(settings.PopulationSettings(), 'robot', seed=int(sys.argv[1])).network(), sys.argv[2])" \
+from sim_kinematic.policies.visual_policy import save_policy
+save_policy(learner.ChooserLearner(settings.PopulationSettings(), 'robot', seed=int(sys.argv[1])).network(), sys.argv[2])" \
         "$1" "$file"
 }
 runs=${RUNS:-}

@@ -249,8 +249,9 @@ def view(
     open: bool = False,
     force: bool = False,
 ) -> Path:
-    """Writes a recording as a Rerun file (or two side by side), or as an HTML file that plays it in a browser; options as
-    of ``h3data view``.
+    """Writes a recording as a Rerun file, or as an HTML file that plays in a browser.
+
+    With ``compare`` a Rerun file shows two recordings side by side. Options are those of ``h3data view``.
 
     Returns:
         The .rrd or .html file.

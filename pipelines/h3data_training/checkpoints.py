@@ -10,7 +10,7 @@ import torch
 
 from h3data.errors import FormatError, InputError
 from h3data_training.ppo import Learner
-from h3data_training.running import Length, share_of
+from h3data_training.running import RunLength, share_of
 from h3data_training.torch.graph import overwrite
 
 FORMAT = "h3data.training/1"
@@ -58,10 +58,12 @@ def restore(learner: Learner, kept: dict[str, Any], path: Path) -> None:
         raise FormatError(f"The checkpoint does not fit ({reason}). File: {path}", code="H3-TRAIN-005") from None
 
 
-class PlainSettings(Length, Protocol):
+class PlainSettings(RunLength, Protocol):
     """Settings of a run, whose class has defaults for all of them."""
 
-    def as_dict(self) -> dict[str, Any]: ...
+    def as_dict(self) -> dict[str, Any]:
+        """All settings by name, as plain values."""
+        ...
 
 
 def to_go_on(path: Path, settings: PlainSettings, seed: int, *, form: str = FORMAT) -> dict[str, Any] | None:

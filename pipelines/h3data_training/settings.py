@@ -8,7 +8,7 @@ from typing import Any
 
 from h3data.errors import InputError
 from h3data.render.light.sources import LightMode, check_light
-from sim_kinematic.policies.pictured import BASE_ACTIONS, OF_SOCIAL_NAV, PATCH, PICTURES
+from sim_kinematic.policies.visual_policy import BASE_ACTIONS, OF_SOCIAL_NAV, PATCH, PICTURES
 
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
 """What the paper's policy sees (appendix, social navigation)."""
@@ -183,6 +183,7 @@ class Settings:
 
     @property
     def decisions_per_update(self) -> int:
+        """Number of decisions in the rollouts of one update."""
         return self.worlds * self.rollout
 
     def second_stage(self) -> Settings:

@@ -111,8 +111,11 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
 def draw_arms(
     state: HumanState, free: FreeSpace, body: Humanoid, rules: ArmRoomSpec | None, *, busy: Hand | None = None
 ) -> None:
-    """Draws the arms of a person in all worlds in, or lets them go, by one step towards what the room there asks for, in
-    place; without rules they stay as they are. An arm whose hand is ``busy`` is let go."""
+    """Moves the arms of people in all worlds towards or away from the body by one step, in place.
+
+    How far each arm is folded in follows from the room beside the body; without rules the arms stay as they are. An arm
+    whose hand is ``busy`` is released.
+    """
     if rules is None:
         return
     width = width_m(body) - rules.aside_m

@@ -41,11 +41,16 @@ def _step_arms(joints, columns, action, most, lower, upper):
 
 
 def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec) -> None:
-    """Move the arm of a robot in all its worlds by ``action`` [W, n], in place: -1..1 of ``spec.joint_step`` for each of
-    ``robot.arm_columns``.
+    """Moves the arm of a robot in all worlds, in place.
+
+    Args:
+        state: state of the robot.
+        robot: its body.
+        action: -1..1 of ``spec.joint_step`` for each of ``robot.arm_columns``, [W, n].
+        spec: limits of the arm.
 
     Raises:
-        InputError: the actions or the state's joints have another shape, or an action is not finite; then nothing moved.
+        InputError: the actions or the state's joints have another shape, or an action is not finite; then nothing moves.
     """
     columns = np.array(robot.require_arm())
     joints = _checked_joints(state, robot)

@@ -124,8 +124,10 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
 
 
 def is_person(name: str) -> bool:
-    """Whether a name, which is no kind, means a person: a body, ``random:SEED``, a file, or one of these with an outfit or a
-    motion."""
+    """Whether a name that is no kind of agent means a person.
+
+    People are named by a body, ``random:SEED`` or a file, each possibly with an outfit or a motion.
+    """
     body, motion = split_walk(name)
     body, _ = split_outfit(body)
     return body in humanoid_names() or body.endswith(".npz") or is_random(body) or bool(motion and not body)

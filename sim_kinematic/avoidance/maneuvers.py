@@ -48,9 +48,12 @@ def _search(
     sdf, origin, cell, x, z, heading, offsets, radius, hull, discs, left, grid_origin, grid_cell, moves, steps, dt, enough,
     bearing, facing, slides, slide, poses, parents, moved,
 ):  # fmt: skip
-    """Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that led there); returns the last node, -1 if there
-    is no maneuver. ``bearing`` is the heading wanted at the end within ``facing`` [rad]. Where it ``slides``, the first
-    move does so as `drive_base`, of which ``slide`` are radius, iterations, tolerances and longest step."""
+    """Searches for a maneuver; returns the number of its last node, or -1 if there is none.
+
+    Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that leads to a node). ``bearing`` is the wanted
+    heading at the end, to within ``facing`` [rad]. If ``slides``, the first move slides along obstacles as in
+    `drive_base`, with ``slide`` as radius, iterations, tolerances and longest step.
+    """
     nx, nz = left.shape
     seen = np.zeros((nx, nz, HEADINGS), np.bool_)
     sector, way_poses = 2.0 * math.pi / HEADINGS, np.empty((steps, 3))

@@ -135,8 +135,11 @@ class RightOfWay:
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _rank(self, walker: Walker, carrying: Sequence[int]) -> tuple[float, ...]:
-        """Sorts busy agents before idle ones, people before robots, those that carry something before others, then by length
-        of path. An agent that steps aside comes right after the one that asked it."""
+        """Sort key of an agent's priority: lower keys go first.
+
+        Busy agents come before idle ones, people before robots, agents that carry something before others, then shorter
+        paths before longer ones. An agent that steps aside comes right after the one that asked for it.
+        """
         chain: list[int] = [walker.number]
         # requests may form a circle, so each agent counts once
         while chain[-1] in self._requests and self._requests[chain[-1]].by not in chain:
@@ -282,8 +285,10 @@ class RightOfWay:
         return looks and not self._gets_around(me, self._walkers[other], AVOIDANCE.passing_m[-1])
 
     def _refuge(self, me: Walker, other: Walker) -> NDArray[np.float64] | None:
-        """Points [N, 2] that lead to the nearest place that is off all of the other's path and far from it; else to the
-        farthest there is."""
+        """Points [N, 2] that lead to the nearest place far from the other agent's path.
+
+        If there is no such place, they lead to the one that is farthest from it.
+        """
         spec = AVOIDANCE
         discs = np.array([(*other.xz, spec.squeeze_share * aside_distance_m(me, other))])
         flood = self._routes.flood(me.xz, discs)
@@ -362,8 +367,10 @@ class RightOfWay:
     def _retreat(
         self, walker: Walker, paths: Sequence[tuple[Walker, NDArray]], first: Sequence[Walker]
     ) -> NDArray[np.float64] | None:
-        """Points [N, 2] that lead to the nearest place off some paths and off those of all agents of higher rank; past others
-        that can step aside only where there is no other path."""
+        """Points [N, 2] that lead to the nearest place off the given paths and those of agents with a higher rank.
+
+        The route passes agents that can step aside only if there is no other.
+        """
         spec = AVOIDANCE
         others = [other for other in self._walkers.values() if other is not walker]
         firm = [other for other in others if other in first or not other.yields]

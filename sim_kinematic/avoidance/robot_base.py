@@ -70,10 +70,11 @@ def wider_by(base: BaseSpec) -> float:
 
 
 def carrying_base_of(robot: Robot, base: BaseSpec) -> BaseSpec:
-    """Returns a base with one more disc, which covers what the folded arm carries (a ball of `CARRIED_M`), where the base's own
-    discs do not; ``base`` itself if it is not the one that covers the whole robot, such as that of the profile ``habitat``.
+    """Returns a base with one more disc, which covers an object that the folded arm carries.
 
-    The hand of ``quad_arm`` is 5 cm behind the front of its base, so what it carried was up to 11 cm in walls.
+    The object is taken as a ball of `CARRIED_M`. ``base`` itself is returned if its discs cover the object already, or
+    if it is not the base that covers the whole robot, as in the profile ``habitat``. The hand of ``quad_arm`` is 5 cm
+    behind the front of its base, so that objects it carried went up to 11 cm into walls.
     """
     if base.disc_offsets_m != tuple(robot.base_discs.tolist()) or robot.hand_link < 0:
         return base

@@ -77,9 +77,11 @@ class FloorRoutes:
         centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         return FloorRoutes(free, np.asarray(free.origin, np.float64), centres, free.signed_distance(centres))
 
-    def flood(self, start: NDArray, discs: NDArray) -> Flood:
-        """Finds all paths from ``start`` [2] that keep out of ``discs`` ``(x, z, radius)`` [N, 3]; those in which it starts
-        may be left."""
+    def flood(self, start: NDArray, discs: NDArray) -> DistanceMap:
+        """Distances and shortest paths from ``start`` [2] to all of the floor outside of some discs.
+
+        The discs are ``(x, z, radius)`` [N, 3]; a path may lead out of discs that contain the start.
+        """
         cell = AVOIDANCE.cell_m
         discs = np.array(discs, np.float64).reshape(-1, 3)
         gaps = np.hypot(*(discs[:, :2] - start).T)
@@ -89,11 +91,11 @@ class FloorRoutes:
         i, j = np.clip(((start - self.origin) / cell).astype(int), 0, np.array(self.room.shape) - 1).tolist()
         least = self.free.radius_m + AVOIDANCE.spare_m
         distance, before = _flood(self.room, least, discs, self.origin, cell, i, j)
-        return Flood(self, np.array(start, np.float64), discs, distance, before)
+        return DistanceMap(self, np.array(start, np.float64), discs, distance, before)
 
 
 @dataclass(frozen=True, eq=False)
-class Flood:
+class DistanceMap:
     """All paths from one place."""
 
     grid: FloorRoutes

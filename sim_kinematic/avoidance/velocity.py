@@ -77,7 +77,7 @@ def try_commands(
             )  # fmt: skip
 
 
-class Avoided(NamedTuple):
+class ObstacleDisc(NamedTuple):
     """A disc of another agent that a robot keeps clear of."""
 
     xz: NDArray
@@ -92,7 +92,7 @@ class Avoided(NamedTuple):
 
 def keep_clear(
     free: FreeSpace, base: BaseSpec, xz: NDArray, heading: float, wanted: tuple[float, float], towards: NDArray,
-    others: Sequence[Avoided], before: tuple[float, float] | None = None,
+    others: Sequence[ObstacleDisc], before: tuple[float, float] | None = None,
 ) -> tuple[float, float]:  # fmt: skip
     """Returns the command (forward, turn: -1..1 of the limits) that replaces ``wanted`` so that nobody is run into.
 
@@ -184,7 +184,7 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(base.disc_offsets_m), np.array(hull_of(base))
 
 
-def is_crowded(base: BaseSpec, stands: NDArray, other: Avoided, margin_m: float) -> NDArray[np.bool_]:
+def is_crowded(base: BaseSpec, stands: NDArray, other: ObstacleDisc, margin_m: float) -> NDArray[np.bool_]:
     """Whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
     reach, (_, hull) = base.disc_radius_m + other.radius_m, _discs(base)
     other_x, other_z = other.xz.tolist()

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, MissingExtraError
-from sim_kinematic.envs.recipe import Remade
+from sim_kinematic.envs.recipe import PickledEnv
 from sim_kinematic.envs.single import ALL, Observations, checked_render_mode, first, one_row, run_seed
 from sim_kinematic.envs.stepper import Stepper
 from sim_kinematic.motion.spec import STEP_S
-from sim_kinematic.sensing.watching import Watcher
+from sim_kinematic.sensing.watching import DebugRenderer
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Space
@@ -27,7 +27,7 @@ except ImportError as error:
 Infos = dict[str, dict[str, Any]]
 
 
-class TaskParallelEnv(Remade, pettingzoo.ParallelEnv[str, Any, Any]):
+class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
     """Several agents act at every step, and all get the same reward.
 
     In tasks with skills, which last differently long, a step lasts until one agent must choose. ``info[agent]["choosing"]``
@@ -46,7 +46,7 @@ class TaskParallelEnv(Remade, pettingzoo.ParallelEnv[str, Any, Any]):
         self.agents: list[str] = []
         self.observation_spaces = {agent: stepper.observation_space(agent) for agent in self.possible_agents}
         self.action_spaces = {agent: stepper.action_space(agent) for agent in self.possible_agents}
-        self._watcher = Watcher()
+        self._watcher = DebugRenderer()
         self._seed, self._episode = 0, -1
 
     def observation_space(self, agent: str) -> Space:

@@ -46,7 +46,7 @@ class EnvRecipe:
         )
 
 
-class Remade:
+class PickledEnv:
     """An environment that is pickled as its recipe, like Gymnasium's ``EzPickle``: the copy begins with a reset."""
 
     recipe: EnvRecipe | None = None

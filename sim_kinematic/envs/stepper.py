@@ -23,7 +23,7 @@ from sim_kinematic.sensing.sensor import NoiseModel
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
-    from sim_kinematic.sensing.watching import Watcher
+    from sim_kinematic.sensing.watching import DebugRenderer
 
 __all__ = ["DEFAULTS", "Info", "ManySteppers", "Options", "Stepper", "checked_actions", "gymnasium"]
 
@@ -98,7 +98,7 @@ class Stepper(Protocol):
         """Which episode each world plays, [W] each."""
         ...
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
         """One world for people who watch, uint8 [480, 640, 3]; ``watcher`` is the one that follows this world.
 
         Raises:
@@ -125,6 +125,7 @@ class ManySteppers:
         self.action_space = self.each[0].action_space
 
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        """Begins episodes in the steppers ``where`` [W], one after the other, with a progress bar if it takes long."""
         one = np.ones(1, np.bool_)
         with progress(desc="episodes", total=int(where.sum()), unit="episode", delay=1.0, leave=False) as begun:
             for w in np.flatnonzero(where).tolist():
@@ -132,6 +133,7 @@ class ManySteppers:
                 begun.update()
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Steps every stepper whose episode is not over; the others give zeros."""
         parts = [
             stepper.step({agent: np.asarray(action)[w : w + 1] for agent, action in actions.items()})
             if not stepper.is_over
@@ -142,18 +144,23 @@ class ManySteppers:
         return reward, terminated, truncated
 
     def observe(self, agent: str) -> Arrays:
+        """Observations of an agent in all worlds, [W, ...] each."""
         return _joined([stepper.observe(agent) for stepper in self.each])
 
     def info(self, agent: str) -> Info:
+        """Facts beyond the observations in all worlds, [W] each."""
         return _joined([stepper.info(agent) for stepper in self.each])
 
     def episode_info(self) -> Info:
+        """Scene and seed of the episode in each world, [W] each."""
         return _joined([stepper.episode_info() for stepper in self.each])
 
-    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
+        """Picture of one world for people who watch, uint8 [480, 640, 3]."""
         return self.each[world].picture(agent, watcher)
 
     def describe(self) -> str:
+        """Description of the first stepper, with the number of worlds."""
         return self.each[0].describe().removesuffix("1 world") + f"{self.worlds} world{'s' if self.worlds > 1 else ''}"
 
 

@@ -76,8 +76,11 @@ HOME_BASE = BaseSpec(disc_offsets_m=(-0.4, 0.02, 0.33), keeps_speed=True, maneuv
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRoomSpec:
-    """When a person draws an arm in (`sim_kinematic.agents.arm_tuck`). Distances are beyond the half width with both
-    arms in, which is 0.21 to 0.27 m; swinging arms are 3 to 6 cm wider."""
+    """Rules by which people fold in their arms where there is little room (`sim_kinematic.agents.arm_tuck`).
+
+    Distances are measured from the half width of a person with both arms folded in, which is 0.21 to 0.27 m; swinging
+    arms are 3 to 6 cm wider.
+    """
 
     free_m: float = 0.08
     """An arm swings freely where so much more room than that is at its side,"""
@@ -196,8 +199,10 @@ class ArmSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class SkillSpec:
-    """Rules of a robot's learned skills: when one has succeeded, when its time is over, and what a step is worth (paper
-    appendix, low-level skill training)."""
+    """Rules of a robot's learned skills: conditions of success, time limits, and rewards.
+
+    They follow the paper's appendix (low-level skill training).
+    """
 
     nav_steps: int = 1500
     """Longest duration of ``nav``,"""

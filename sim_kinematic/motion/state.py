@@ -1,5 +1,7 @@
-"""The state of W worlds, each with the same robots, people and O objects: structs of arrays, worlds first. One world is
-W = 1; any number of robots and people may be in it, none too."""
+"""State of W worlds, each with the same robots, people and O objects, as structs of arrays with worlds first.
+
+One world is W = 1. A world may have any number of robots and people, also none.
+"""
 
 from __future__ import annotations
 
@@ -121,8 +123,15 @@ class WorldState(_Arrays):
         cls, worlds: int, *, robots: int = 1, people: int = 1, joints: int | Sequence[int] = 0, objects: int = 0,
         scene_joints: int = 0,
     ) -> WorldState:  # fmt: skip
-        """W worlds with everything at the origin, nothing held. ``joints``: of every robot, or one number for each;
-        ``scene_joints``: of doors and drawers.
+        """State of W worlds with everything at the origin and nothing held.
+
+        Args:
+            worlds: number of worlds W.
+            robots: number of robots in each world.
+            people: number of people.
+            joints: number of joints of every robot, or one number for each of them.
+            objects: number of objects O.
+            scene_joints: number of doors and drawers.
 
         Raises:
             InputError: a number is negative, or there is not one number of joints for each robot.
@@ -150,10 +159,12 @@ class WorldState(_Arrays):
         return (*self.robots, *self.people)
 
     def arrays(self) -> list[NDArray[Any]]:
+        """All arrays of the state, in a fixed order."""
         own = [self.object_pose, self.held_by, self.grip_pose, self.joint_pos]
         return [array for agent in self.agents for array in agent.arrays()] + own
 
     def take(self, worlds: Worlds) -> WorldState:
+        """State of some of the worlds."""
         return WorldState(
             robots=tuple(robot.take(worlds) for robot in self.robots),
             people=tuple(person.take(worlds) for person in self.people),

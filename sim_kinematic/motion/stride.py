@@ -1,10 +1,9 @@
-"""Walking along a path as people do: they set off and brake smoothly, walk curves instead of turning on the spot, and look
-where they are going.
+"""Walking along a path with smooth starts, stops and curves.
 
-A step is a pure pursuit of the path: the person turns towards a point some way ahead on it, walks where they look, sideways by
-a little, and slower while the point is not ahead. Turning and walking speed change no faster than `StrideSpec` says. The body's
-disc is pushed out of walls and furniture as one that is driven (`sim_kinematic.motion.step.push_out`), so a curve cut short
-never leads into them.
+Each step is a pure pursuit of the path: the person turns towards a point ahead on it and walks in the direction of
+view, a little sideways, and slower while the point is not ahead. Turn rate and speed change no faster than `StrideSpec`
+says. The body's disc is pushed out of walls and furniture like a driven one (`sim_kinematic.motion.step.push_out`), so
+that a curve never cuts into them.
 """
 
 from __future__ import annotations
@@ -96,8 +95,10 @@ def _progress(path, cumulative, along, x, z):
 
 @kernel(error_model="numpy")
 def _slide(sdf, origin, cell, radius, x, z, nx, nz, most):
-    """Where a step from (x, z) to (nx, nz) ends that keeps ``radius`` to obstacles, ``most`` [m] long at most, how far the
-    obstacles let it get, and the least clearance on it: ``(x, z, moved, clearance)``."""
+    """End of a step from (x, z) towards (nx, nz) that keeps ``radius`` from obstacles and is at most ``most`` [m] long.
+
+    Returns ``(x, z, moved, clearance)``: the position, the length that obstacles allowed, and the least clearance.
+    """
     sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, PUSHES)
     moved = math.hypot(sx - x, sz - z)
     # being pushed out of a wall must not carry anybody farther than they walk
@@ -110,13 +111,26 @@ def _slide(sdf, origin, cell, radius, x, z, nx, nz, most):
 def stride_step(
     sdf, origin, cell, heights, radius, path, cumulative, goes, halts, facing, state, speed, limits, patience, dt
 ):
-    """One step along a path, in place: ``state`` is x, z, heading, speed, turn rate, how far along the path, the angle between
-    the directions of walking and looking, the farthest that they have been along the path, steps without getting on, and
-    whether they keep to the path itself, corners and all.
+    """Walks one step along a path, in place, and returns whether the end has been reached.
 
-    ``limits`` are `StrideSpec.limits`; after ``patience`` steps without getting on people keep to the path. With ``halts``
-    they stop on its last point, else they pass it. From `FACE_M` before the end on they turn to the heading ``facing`` [rad]
-    while they walk, if it is not NaN. Returns whether they have arrived.
+    Args:
+        sdf: signed distances of the floor's grid [m].
+        origin: position of the grid.
+        cell: size of its cells [m].
+        heights: heights of the floor.
+        radius: radius of the body [m].
+        path: points of the path [K, 2].
+        cumulative: length of the path up to each point [K] [m].
+        goes: whether the person walks; otherwise they slow down to a stand.
+        halts: whether they stop at the last point; otherwise they pass it.
+        facing: heading to turn to from `FACE_M` before the end on [rad]; none if NaN.
+        state: x, z, heading, speed, turn rate, distance along the path, angle between walking and view, largest distance
+            along the path so far, steps without progress, and whether the person follows the path itself with all its
+            corners.
+        speed: walking speed [m/s].
+        limits: `StrideSpec.limits`.
+        patience: steps without progress after which the person follows the path itself.
+        dt: duration of the step [s].
     """
     accel, decel, turn_rate, turn_accel, gain, look, sidestep, sidestep_rate, arrive = limits
     x, z, heading, v, turn = state[0], state[1], state[2], state[3], state[4]
@@ -268,8 +282,10 @@ class Strider:
         return int(np.searchsorted(self._cumulative, self._state[5] + PROGRESS_M))
 
     def begin(self, path: Array, *, facing: float | None = None) -> None:
-        """Takes the path [K, 2] from where the person is; speed and turning go on. They arrive turned to the heading ``facing``
-        [rad] as far as they can turn on the last steps."""
+        """Sets the path [K, 2] from the present position; speed and turn rate continue.
+
+        The person arrives with the heading ``facing`` [rad], as far as they can turn on the last steps.
+        """
         self._facing = math.nan if facing is None else facing
         path = np.asarray(path, np.float64)
         self._path = np.ascontiguousarray(path if len(path) > 1 else np.repeat(path, 2, axis=0))

@@ -1,5 +1,7 @@
-"""How names become policies: of the task, of every task (`COMMON`), of installed packages (entry point group
-``h3data.policies``), ``module:name``, and files of weights (``weights:FILE``).
+"""Lookup of policies by name.
+
+A name is looked up in the task, in the policies of every task (`COMMON`), and in installed packages (entry point group
+``h3data.policies``). It may also be ``module:name`` or a file of weights (``weights:FILE``).
 """
 
 from __future__ import annotations
@@ -54,6 +56,7 @@ class AssignedPolicy(NamedTuple):
 
     @property
     def is_external(self) -> bool:
+        """Whether the agent is controlled from outside."""
         return isinstance(self.policy, External)
 
     @property
@@ -201,8 +204,10 @@ def _base(episode: Episode, number: int) -> BaseSpec:
 
 
 def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
-    """A policy from what a table or a plug-in holds: a factory ``(task, episode, number)``, a class of policies, a policy,
-    or a function ``(view, base)``."""
+    """Makes a policy from an entry of a table or a plug-in.
+
+    The entry is a factory ``(task, episode, number)``, a class of policies, a policy, or a function ``(view, base)``.
+    """
     if isinstance(made, type):
         return made()
     if hasattr(made, "act"):

@@ -171,8 +171,11 @@ def from_torch(
 
 # --- files --------------------------------------------------------------------------------------------------------------
 def save_network(network: Network, path: str | Path) -> None:
-    """Write an npz: ``format``, ``task``, ``activation``, ``observations``, ``mean``, ``scale``, ``weight_0``, ``bias_0``,
-    ``weight_1``, ... The file appears whole or not at all."""
+    """Writes a network as an npz file, which appears whole or not at all.
+
+    Its entries are ``format``, ``task``, ``activation``, ``observations``, ``mean``, ``scale``, ``weight_0``,
+    ``bias_0``, ``weight_1`` and so on.
+    """
     arrays: dict[str, NDArray[Any]] = {
         "format": np.array(FILE_FORMAT), "task": np.array(network.task), "activation": np.array(network.activation),
         "observations": np.array(network.observations), "mean": network.mean, "scale": network.scale,
@@ -254,8 +257,10 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
 
 
 def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """The bytes of an array [...] as planes, uint8 [4, ...]: the first bytes of all numbers, then the second ones, ... They
-    compress better, by a fifth where the last bits are 0."""
+    """Bytes of an array [...] as planes, uint8 [4, ...]: the first bytes of all numbers, then the second ones, and so on.
+
+    They compress better, by a fifth where the last bits are 0.
+    """
     planes = np.moveaxis(np.ascontiguousarray(array, "<f4")[..., None].view(np.uint8), -1, 0)
     return np.ascontiguousarray(planes)
 

@@ -6,15 +6,19 @@ A script, a planner, a network, a recorded track and somebody outside are the sa
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
+from h3data.moved import refuse_renamed
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import HumanState
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 
 # --- choices ----------------------------------------------------------------------------------------------------------
@@ -28,14 +32,14 @@ class Velocity(NamedTuple):
     skill: str = ""
 
 
-class Towards(NamedTuple):
+class WaypointAction(NamedTuple):
     """A point that a person walks straight to."""
 
     xz: NDArray[np.float64]
     """``(x, z)`` [m]."""
 
 
-class StrideTo(NamedTuple):
+class PoseAction(NamedTuple):
     """Where a person who walks along a path is after this step."""
 
     xz: Array
@@ -43,14 +47,14 @@ class StrideTo(NamedTuple):
     heading: float
 
 
-class PaceTo(NamedTuple):
+class GaitAction(NamedTuple):
     """Where a person is after this step, and how far in their walking cycle."""
 
     gait: HumanState
     """One world."""
 
 
-class KeptMoment(NamedTuple):
+class RecordedPose(NamedTuple):
     """One step of a recorded person, taken as it was."""
 
     xz: NDArray[np.float64]
@@ -105,6 +109,7 @@ class FunctionPolicy:
         self.__name__ = getattr(function, "__name__", type(function).__name__)
 
     def act(self, view: Any) -> Any:
+        """Choice for the next step."""
         return self._function(view, self._base)
 
 
@@ -112,5 +117,6 @@ class Still:
     """Does nothing; lower-bound baseline."""
 
     def act(self, view: Any) -> Velocity:
+        """A velocity of 0."""
         del view
         return Velocity(0.0, 0.0)

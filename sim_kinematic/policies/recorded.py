@@ -14,7 +14,7 @@ from h3data.errors import InputError
 from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, OPENING_SKILLS, SKILLS, Action
-from sim_kinematic.policies.policy import KeptMoment, Velocity
+from sim_kinematic.policies.policy import RecordedPose, Velocity
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.views import RearrangeView
 
@@ -58,11 +58,18 @@ class RecordedVelocities:
         own: Any,
         since: int = 0,
     ) -> RecordedVelocities:
-        """From the commands that came from outside, else from the column ``agent_<i>.action``. ``since`` is the step from which
-        ``own`` decided, `deciding_since`.
+        """Policy that repeats the recorded commands from outside, or else the column ``agent_<i>.action``.
+
+        Args:
+            recording: the recording.
+            number: number of the agent.
+            commands: recorded raw input; None if the agent was not controlled from outside.
+            until: step from which ``own`` decides.
+            own: policy that takes over.
+            since: step from which ``own`` decided in the recording (`deciding_since`).
 
         Raises:
-            InputError: commands or skills are not of the kind that the simulator knows.
+            InputError: the simulator does not know a recorded command or skill.
         """
         told = {command.step: command.choice for command in commands or ()}
         if commands and f"agent_{number}.action" not in recording.columns:
@@ -89,6 +96,11 @@ class RecordedVelocities:
         return cls({**choices, **told}, until=until, own=own, since=since)
 
     def act(self, view: Any) -> Any:
+        """Recorded choice of this step, or that of the policy that has taken over.
+
+        Raises:
+            NotRecorded: the recording has no command for this step.
+        """
         choice = self._own.act(view) if self._own is not None and view.step >= self.since else None
         if view.step >= self._until and self._own is not None:
             return choice
@@ -108,6 +120,11 @@ class RecordedCommands:
         self.since = until if own is not None else 0
 
     def act(self, view: Any) -> Any:
+        """Next recorded command, or the choice of the policy that has taken over.
+
+        Raises:
+            NotRecorded: the recording has no command for this step.
+        """
         if view.step >= self._until and self._own is not None:
             return self._own.act(view)
         if self._next >= len(self._commands) or self._commands[self._next].step != view.step:
@@ -128,9 +145,15 @@ class RecordedTrack:
     """A person who keeps a recorded track, whatever the others do."""
 
     def __init__(self, recording: Recording, number: int, body: Any) -> None:
-        """
+        """Reads the recorded track of a person.
+
+        Args:
+            recording: the recording.
+            number: number of the agent.
+            body: its body.
+
         Raises:
-            InputError: the person's body was not recorded as clips at every step.
+            InputError: the person's body was not recorded as motion clips at every step.
         """
         if not len(recording):
             raise InputError(
@@ -161,11 +184,12 @@ class RecordedTrack:
         """Positions after each step, [T, 2] [m]."""
         return self._xz
 
-    def act(self, view: Any) -> KeptMoment:
+    def act(self, view: Any) -> RecordedPose:
+        """Recorded pose and motion clip of this step."""
         step = view.step
         clip, phase, blend = (array[step] for array in self._motion)
         left, right = self._arms[step].tolist()
-        return KeptMoment(
+        return RecordedPose(
             self._xz[step], float(self._heading[step]), int(clip), float(phase), float(blend), (left, right)
         )
 
@@ -258,11 +282,12 @@ def deciding_since(recording: Recording) -> list[int]:
 def recorded_choices(
     recording: Recording, number: int, objects: tuple[str, ...], since: int = 0, *, joints: tuple[str, ...] = ()
 ) -> tuple[list[SkillSpan], NDArray]:
-    """Skill spans of an agent, and its skills and targets step by step [T, 2], checked; ``since`` is the step before which
-    commands from outside decided, whose skills are left out.
+    """Skill spans of an agent, and its skills and targets step by step [T, 2].
+
+    ``since`` is the step before which commands from outside decided, whose skills are left out.
 
     Raises:
-        InputError: there are other skills or targets than the simulator knows, or commands of the lower layer, which are not
+        InputError: the simulator does not know a skill or target, or there are commands of the lower layer, which are not
             recorded.
     """
     spans = [span for span in recording.skills if span.agent == number and (not since or span.end_step >= since)]

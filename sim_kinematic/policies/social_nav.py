@@ -105,8 +105,10 @@ def rollout_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def _receding(view: SocialNavView) -> float:
-    """By how much the person goes away from the robot in this step [m], if they go on as in the last one: without, a robot
-    before somebody who walks at it backs away and comes back every other step."""
+    """Distance by which the person moves away from the robot in this step, if they continue as in the last one [m].
+
+    Without it, a robot in front of a person who walks towards it backs away and returns every other step.
+    """
     if view.human_before is None or view.geodesic_m > REACH_M:
         return 0.0
     (away_x, away_z), (step_x, step_z) = (
@@ -177,11 +179,11 @@ def _way_left(
 
 
 def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """Draws commands, tries each beside the person as they will walk on, and takes the best: the way to 1.5 m from them,
-    facing them, with room between both.
+    """Expert that samples commands and simulates each together with the person's expected walk.
 
-    One that draws way points without foreseeing their walk collides more than plain backing (75 % of episodes, a draft of the
-    paper's appendix says): it drives to where they are going.
+    It takes the best of them: on the path to 1.5 m from the person, facing them, with room between both. An expert that
+    samples waypoints without predicting the walk collides more often than one that just backs away (in 75% of episodes,
+    says a draft of the paper's appendix), because it drives to where the person is going.
     """
     if not view.met and view.geodesic_m > REACH_M:
         return _approach(view, spec, view.human_xz)

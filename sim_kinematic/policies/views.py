@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.skills import Action, Ending
+from sim_kinematic.agents.skills import Action, SkillResult
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import NOBODY
 
@@ -104,7 +104,7 @@ class RearrangeView(NamedTuple):
     at_goal: NDArray[np.bool_]
     action: Action | None
     """What it is doing or, between two actions, has done last."""
-    last: Ending | None
+    last: SkillResult | None
     """How that ended; None while it goes on."""
     starts: NDArray[np.float64]
     """Where the objects were at the beginning, shape [K, 3] [m]."""

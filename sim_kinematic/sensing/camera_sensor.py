@@ -60,19 +60,20 @@ class StateRenderer:
         speed_mps: float | None = None, skinned: bool = True, light: LightMode = "flat", lit_as: Scene | None = None,
         backend: Backend = "cpu", threads: int = 1,
     ) -> None:  # fmt: skip
-        """
+        """Loads the meshes of a home and its agents into a renderer.
+
         Args:
-            scene: The home; all worlds share it.
-            agents: Bodies of those who are in it, robots first, as in the state.
-            worlds: W.
-            objects: Names of the instances of ``scene`` that the state moves, in the order of ``object_pose`` [O].
-            speed_mps: At which people walk, which chooses their clips (default: `WalkerSpec`'s).
-            skinned: People are skinned meshes; else the rigid capsules of their bones.
-            light: Light in ``rgb``, as of `h3data.replay.Replay`.
-            lit_as: The scene whose baked light surfaces carry (default: ``scene``): the same instances, with doors and drawers
-                elsewhere, so that light is not baked anew whenever one moves.
-            backend: Of `h3data.render.Renderer`.
-            threads: Threads that draw a batch.
+            scene: the home, shared by all worlds.
+            agents: bodies of the agents, robots first, as in the state.
+            worlds: number of worlds W.
+            objects: names of the instances of ``scene`` that the state moves, in the order of ``object_pose`` [O].
+            speed_mps: walking speed of people, which selects their motion clips (default: `WalkerSpec`'s).
+            skinned: whether people are skinned meshes; otherwise they are the rigid capsules of their bones.
+            light: light in ``rgb``, as for `h3data.replay.Replay`.
+            lit_as: scene whose baked light the surfaces carry (default: ``scene``). It has the same instances, with doors and
+                drawers elsewhere, so that light is not baked again whenever one moves.
+            backend: back end of `h3data.render.Renderer`.
+            threads: number of threads that render a batch.
         """
         self._meshes: list[Mesh] = []
         self._instances: list[RenderInstance] = []
@@ -113,6 +114,7 @@ class StateRenderer:
 
     @property
     def worlds(self) -> int:
+        """Number of worlds W."""
         return self.renderer.world_count
 
     @property
@@ -125,8 +127,10 @@ class StateRenderer:
         return tuple(self._agents[agent].instances)
 
     def _bake(self, scene: Scene, static: Sequence[int], lit_as: Scene) -> None:
-        """Replaces static meshes by ones that carry the light of the scene; their poses are those that a recording has, so that
-        the light is the very one of replays, and baked once for both."""
+        """Replaces static meshes by ones that carry the light of the scene.
+
+        Their poses are those of recordings, so that the light equals that of replays and is baked once for both.
+        """
         as_lit = list(self._instances)
         for instances, other in ((self._instances, scene), (as_lit, lit_as)):
             there = {i.name: recorded_matrix(i) for i in other.instances}
@@ -228,8 +232,10 @@ class StateRenderer:
         return [camera.at(pose) for pose in poses]
 
     def picture(self, cameras: Sequence[Camera], outputs: Sequence[Output]) -> dict[str, Any]:
-        """What N cameras per world see, by output, each [N * W, H, W', ...] (`h3data.render.Renderer.render`): the first
-        cameras of all worlds come first."""
+        """Renders N cameras per world; returns arrays by output, each [N * W, H, W', ...].
+
+        The first cameras of all worlds come first (`h3data.render.Renderer.render`).
+        """
         if self._skinned:
             for k, drawn in enumerate(self._agents):
                 if isinstance(drawn.body, Humanoid):
@@ -253,8 +259,11 @@ class StateRenderer:
         self._is_shaded = True
 
     def _show_person(self, agent: int, drawn: _Drawn, body: Humanoid, cameras: Sequence[Camera]) -> None:
-        """The light mesh where it will do for every camera, as in replays; each is skinned at most once per pose, and only
-        where one of its cameras may see it: skinning takes longer than the rest of a step."""
+        """Poses a person's mesh for the given cameras.
+
+        As in replays, it is the mesh of low detail where that suffices for all of them. Each mesh is skinned at most
+        once per pose, and only if a camera may see it: skinning takes longer than the rest of a step.
+        """
         joints = self._frames[agent]
         eyes = np.array([camera.pose[:3, 3] for camera in cameras]).reshape(-1, self.worlds, 3)
         apart = np.linalg.norm(joints[:, :, :3, 3] - eyes[:, :, None], axis=-1).min((0, 2))

@@ -1,5 +1,7 @@
-"""The observations that one agent of a training environment is shown: which there are, their spaces, noise. Needs the extra
-``env``."""
+"""Observations of one agent of a training environment: their names, spaces and noise.
+
+Needs the extra ``env``.
+"""
 
 from __future__ import annotations
 
@@ -38,18 +40,19 @@ class ObservationSet:
         depth_size: tuple[int, int] | None = None, rgb_size: tuple[int, int] | None = None,
         noise: Mapping[str, NoiseModel] | None = None,
     ) -> None:  # fmt: skip
-        """
+        """Selects the observations of one agent.
+
         Args:
-            names: As `checked_names` gives them: some of ``states`` and of `picture_names` of the body.
-            states: Spaces of observations that are no pictures.
-            body: Of the agent.
-            agent: Its number in the state.
-            depth_size: As of `AgentPictures`.
-            rgb_size: As of `AgentPictures`.
-            noise: Model by name of an observation; None and others are exact.
+            names: some of ``states`` and of the body's `picture_names`, as `checked_names` returns them.
+            states: limits of observations that are not pictures.
+            body: body of the agent.
+            agent: its number in the state.
+            depth_size: as for `AgentPictures`.
+            rgb_size: as for `AgentPictures`.
+            noise: noise model by name of an observation; others are exact.
 
         Raises:
-            InputError: a size is not at least 1 x 1.
+            InputError: a size is less than 1 x 1.
         """
         self.names = tuple(names)
         self.pictures = AgentPictures(body, self.names, agent=agent, depth_size=depth_size, rgb_size=rgb_size)

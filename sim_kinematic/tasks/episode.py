@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import InputError, suggest
 from h3data.geometry import Array
+from h3data.moved import refuse_renamed
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, WALKERS, BaseSpec, WalkerSpec
+
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
 MAX_STEPS = 1_000_000
 """Longest episode that is simulated again: nine hours."""
@@ -74,7 +78,7 @@ def agent_floor(episode: Episode, number: int) -> FreeSpace:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class StepOutcome:
     """The judgement of one step in W worlds, each array [W]."""
 
     reward: NDArray[np.float64]
@@ -89,9 +93,12 @@ class Outcome:
 
 
 def rules_dict(spec: Any) -> dict[str, Any]:
-    """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, and where
-    nobody is solid, no floor moves and no skill is learned or an oracle's there is none of that, as in those made before there
-    were such rules."""
+    """Rules of an episode as a dictionary, as recordings and episode files hold them.
+
+    A rule added after the first version of the format has no entry as long as it has its neutral value: people turn on
+    the spot (no ``stride``), nobody is solid, no floor moves, and no skill is learned or an oracle's. Old and new
+    recordings of the same episode thus have equal dictionaries.
+    """
     rules = asdict(spec)
     for name in ("solid_agents", "floor_moves", "skills", "oracle"):
         if not rules.get(name, True):
@@ -103,8 +110,11 @@ def rules_dict(spec: Any) -> dict[str, Any]:
 
 
 def with_options(spec: Any, **options: Any) -> Any:
-    """A spec with those options that are not None; ``human_walk`` is how people walk, ``paper`` or ``natural``, and
-    ``human_speed`` how fast [m/s]."""
+    """Rules with some options replaced; options that are None leave them as they are.
+
+    Beside the fields of ``spec`` there are ``human_walk``, the gait of people (``paper`` or ``natural``), and
+    ``human_speed``, their walking speed [m/s].
+    """
     speed, walk = options.pop("human_speed", None), options.pop("human_walk", None)
     if walk not in (None, *WALKERS):
         raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TASK-001")

@@ -1,5 +1,8 @@
-"""What all tasks need to simulate a recording again: the first difference between two runs, the scene and map it was made
-in, the header of a recording that was made from another."""
+"""Parts that all tasks need to simulate a recording again.
+
+These are the first difference between two runs, the scene and map of a recording, and the header of a recording that is
+made from another.
+"""
 
 from __future__ import annotations
 
@@ -85,8 +88,10 @@ def require_kept(
 
 
 def require_step(recording: Recording, step: int) -> None:
-    """Raises:
-    InputError: the recording has fewer steps, or ``step`` is negative.
+    """Checks that a recording has a step of this number.
+
+    Raises:
+        InputError: the recording has fewer steps, or ``step`` is negative.
     """
     if not 0 <= step <= len(recording):
         raise InputError(
@@ -95,8 +100,10 @@ def require_step(recording: Recording, step: int) -> None:
 
 
 def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable[str] = ()) -> None:
-    """Raises:
-    InputError: the recording lacks entries of its info, columns or its scene; the message names them.
+    """Checks that a recording holds everything needed to simulate it again.
+
+    Raises:
+        InputError: the recording lacks entries of its info, columns or its scene; the message names them.
     """
     lacks = [name for name in info if name not in recording.episode.info]
     lacks += ["scene.glb"] if "scene.glb" not in recording.attachments else []

@@ -20,7 +20,7 @@ from h3data.replay.recorded_robots import check_recorded_robots
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Columns, Play
+from sim_kinematic.tasks.play import Columns, Rollout
 from sim_kinematic.tasks.recorder import Recorder, finished
 from sim_kinematic.tasks.registry import find_task, task_registry
 from sim_kinematic.tasks.resimulation import (
@@ -160,7 +160,7 @@ class _Played:
         self, task: Task, episode: Episode, policies: Sequence[AssignedPolicy], recording: Recording, *,
         steps: int | None, keeps_people: bool, since: int = 0,
     ) -> None:  # fmt: skip
-        self.play: Play = task.play(episode, policies, measure=False)
+        self.play: Rollout = task.play(episode, policies, measure=False)
         self.track: dict[str, Any] = {}
         recorder = Recorder(header_from(recording, "again"), self.play)
         most = episode.spec.max_steps if steps is None else min(steps, episode.spec.max_steps)

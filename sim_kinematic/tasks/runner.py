@@ -1,31 +1,38 @@
-"""The only loop over steps. `run` lets policies play an episode to its end; a `Session` is the same loop for callers that
-bring their own clock, such as a person at a keyboard or a learner; `simulate` runs and records."""
+"""The only loop over steps, in three forms.
+
+`run` lets policies play an episode to its end, and `simulate` also records it. A `Session` is the same loop for callers
+that bring their own clock, such as a live server or a learning algorithm.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from h3data.errors import InputError, suggest
+from h3data.moved import refuse_renamed
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from sim_kinematic.agents.skills import sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import COMMAND
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import Play
+from sim_kinematic.tasks.play import Rollout
 from sim_kinematic.tasks.recorder import Recorder, Sink, describe
 from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
+if not TYPE_CHECKING:
+    __getattr__ = refuse_renamed(__name__)
 
-class Turns:
+
+class DecisionLoop:
     """An episode's turns, one at a time: who must decide next, or that a step is over."""
 
-    def __init__(self, play: Play) -> None:
+    def __init__(self, play: Rollout) -> None:
         self._play = play
         self._turns: Generator[int | None, Any, None] = play.turns()
         self.over = False
@@ -49,7 +56,7 @@ class Turns:
 
 
 def run(
-    play: Play,
+    play: Rollout,
     recorder: Recorder | None = None,
     *,
     steps: int | None = None,
@@ -61,7 +68,7 @@ def run(
     """
     if steps == 0:
         return play.ended
-    turns, policies, done = Turns(play), play.policies, 0
+    turns, policies, done = DecisionLoop(play), play.policies, 0
     while not turns.over:
         if turns.asked is not None:
             number = turns.asked
@@ -193,7 +200,7 @@ class Session:
             header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
         self.recorder = Recorder(header, self.play, sink(header) if sink is not None else None)
         self._numbers = {member.name: k for k, member in enumerate(episode.roster)}
-        self._turns: Turns | None = None
+        self._turns: DecisionLoop | None = None
         self._closed: Recording | None = None
 
     def __repr__(self) -> str:
@@ -219,8 +226,7 @@ class Session:
 
     @property
     def waiting(self) -> tuple[str, ...]:
-        """Agents controlled from outside that have nothing to do but what they are told next: no skill of theirs is
-        running."""
+        """Names of the agents controlled from outside that wait for a command, because none of their skills is running."""
         if self.play.over:
             return ()
         return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.is_busy(self.play, k))
@@ -231,8 +237,10 @@ class Session:
 
     # --- commands -----------------------------------------------------------------------------------------------------
     def act(self, agent: str, command: Any) -> None:
-        """Tells an agent what to do in the next step. A new command interrupts a running skill. It is recorded as raw input,
-        so that the recording can be simulated again from it.
+        """Sets the command of an agent for the next step.
+
+        A new command interrupts a running skill. It is recorded as raw input, so that the recording can be simulated
+        again from it.
 
         Raises:
             InputError: the agent is not controlled from outside, or the command is malformed.
@@ -261,8 +269,10 @@ class Session:
         return number, self._inboxes[number]
 
     def step(self) -> StepResult:
-        """Plays one step. An agent that must decide and was told nothing new goes on with its last command, or does
-        nothing (`Task.idle_choice`).
+        """Plays one step.
+
+        An agent that must decide and has no new command continues with its last one, or does nothing
+        (`Task.idle_choice`).
 
         Raises:
             InputError: the episode is over.
@@ -273,7 +283,7 @@ class Session:
                 code="H3-TASK-047",
             )
         if self._turns is None:
-            self._turns = Turns(self.play)
+            self._turns = DecisionLoop(self.play)
         else:  # only now: a command that has come since may interrupt a running skill
             self._turns.go_on()
         while self._turns.asked is not None:

@@ -29,10 +29,12 @@ class Home:
 
     @cached_property
     def scene(self) -> Scene:
+        """Scene, opened at first use."""
         return self.source if isinstance(self.source, Scene) else open_scene(self.source)
 
     @cached_property
     def free(self) -> FreeSpace:
+        """Free floor of the scene, computed or read from the cache at first use."""
         radius, height = self._size
         if isinstance(self.source, Scene):
             return FreeSpace.from_scene(self.source, radius_m=radius, height_m=height)
@@ -57,14 +59,15 @@ class EpisodeSource:
         robot: str = ROBOT_BODY,
         human: str = HUMAN_BODY,
     ) -> None:
-        """
+        """Looks up scenes and agents; scenes are opened at first use.
+
         Args:
-            task: What is to be done.
-            scenes: Names as the command line takes them (``h3-homes/train``, ``small:3``), a `Scene`, or several.
-            spec: The rules (default: the task's).
-            agents: Who is there (default: the task's roster).
-            robot: Body of robots named by their kind.
-            human: Body of people named by their kind.
+            task: task of the episodes.
+            scenes: names as on the command line (``h3-homes/train``, ``small:3``), a `Scene`, or several.
+            spec: rules (default: the task's).
+            agents: agents of every episode (default: the task's roster).
+            robot: body of robots named by their kind.
+            human: body of people named by their kind.
 
         Raises:
             InputError: there are no such scenes or agents.

@@ -121,6 +121,7 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         self._task, self._rules, self._check_roster = task, rules, check_roster
 
     def record(self, episode: Episode) -> TaskRecord:
+        """Record of an episode: starts, agents, seed, rules, scene and `Episode.extra`."""
         return TaskRecord(
             starts=tuple((float(x), float(z), float(heading)) for x, z, heading in episode.starts.tolist()),
             agents=tuple(f"{member.kind}:{split_walk(member.model)[0]}" for member in episode.roster),
@@ -134,6 +135,7 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
     def entry(
         self, record: TaskRecord, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
     ) -> FileEntry:
+        """Entry of an episode file that holds the record in its info."""
         return FileEntry(
             episode_id=episode_id,
             scene_id=scene_id,
@@ -142,6 +144,11 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> TaskRecord | None:
+        """Record in an entry of a file; None if the entry belongs to another task.
+
+        Raises:
+            InputError: the record is malformed or its starts are not finite.
+        """
         del seed
         record = read_info_block(entry, self._task, TaskRecord)
         if record is not None and not np.isfinite(np.array(record.starts, np.float64)).all():
@@ -149,9 +156,15 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         return record
 
     def rules(self, record: TaskRecord) -> Any:
+        """Rules in a record, as the task's class of rules."""
         return read_rules(record.rules, self._rules)
 
     def episode(self, record: TaskRecord, place: EpisodePlace) -> Episode:
+        """Episode of a record in an opened scene, with the agents of the record or those that the caller names.
+
+        Raises:
+            InputError: the number of starts and of agents differ, or a start is not on the free floor.
+        """
         names = place.agents or record.agents
         if place.human is not None and place.human.startswith(JOIN):  # a motion alone, for everybody
             names = with_motion(names, place.human)

@@ -24,8 +24,8 @@ from sim_kinematic.motion.randomness import generator
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign, check_policy, make_policy
 from sim_kinematic.policies.policy import Still, Velocity
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, TaskSpec, rules_dict
-from sim_kinematic.tasks.play import Play, WorldPlay
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, TaskSpec, rules_dict
+from sim_kinematic.tasks.play import Rollout, WorldRollout
 from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Task:
     profile: ClassVar[str] = ""
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
     columns: ClassVar[Mapping[str, Any]] = {}
-    """dtype of each column in `Outcome.columns`."""
+    """dtype of each column in `StepOutcome.columns`."""
     records_judgement: ClassVar[bool] = True
     """Whether each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
     ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
@@ -66,7 +66,7 @@ class Task:
     env_defaults: ClassVar[Mapping[str, Any]] = {}
     """Options of its environments that differ from the usual ones."""
     env_options: ClassVar[tuple[str, ...]] = ()
-    """Names of further options of its environments, which it finds in ``WorldPlay.options``."""
+    """Names of further options of its environments, which it finds in ``WorldRollout.options``."""
 
     def __init_subclass__(cls) -> None:
         if "name" not in vars(cls):
@@ -120,24 +120,24 @@ class Task:
         return sample_places(scene, free, roster, rng, apart_m=spec.spawn_distance_m, rules=spec.robot)
 
     # --- rules --------------------------------------------------------------------------------------------------------
-    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+    def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> None:
         """Prepares the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``."""
 
-    def judge(self, play: WorldPlay) -> Outcome:
+    def judge(self, play: WorldRollout) -> StepOutcome:
         """Judges the step that all worlds have just made.
 
         By default nothing is rewarded and an episode lasts ``max_steps``.
         """
         worlds = play.world.worlds
-        return Outcome(
+        return StepOutcome(
             reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
         )
 
-    def view(self, play: WorldPlay, agent: int, world: int) -> Any:
+    def view(self, play: WorldRollout, agent: int, world: int) -> Any:
         """What a policy of one agent is shown, by default an `AgentView`."""
         return play.agent_view(agent, world)
 
-    def end_reason(self, play: WorldPlay, world: int) -> str:
+    def end_reason(self, play: WorldRollout, world: int) -> str:
         """The word in ``info["ended"]`` for an episode that the rules end."""
         return "success" if bool(play.outcome.success[world]) else "terminated"
 
@@ -147,7 +147,7 @@ class Task:
 
         return sensors_of(kind)
 
-    def info_of(self, play: WorldPlay) -> dict[str, NDArray[Any]]:
+    def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
         """Entries of an environment's ``info`` beyond its reward, [W] each."""
         return {"success": play.outcome.success.copy()}
 
@@ -193,12 +193,12 @@ class Task:
         check_policy(self, kind, name)
 
     # --- playing ------------------------------------------------------------------------------------------------------
-    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> Play:
+    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> Rollout:
         """One episode, ready for `sim_kinematic.tasks.runner.run`.
 
         ``measure=False`` leaves out what only rewards need.
         """
-        play = WorldPlay(self, episode.spec, episode.roster, measure=measure)
+        play = WorldRollout(self, episode.spec, episode.roster, measure=measure)
         play.begin([episode])
         play.policies = list(policies)
         return play
@@ -219,7 +219,7 @@ class Task:
         return assign(self, episode, chosen or {})
 
     # --- commands from outside ----------------------------------------------------------------------------------------
-    def checked_choice(self, play: Play, number: int, choice: Any) -> Any:
+    def checked_choice(self, play: Rollout, number: int, choice: Any) -> Any:
         """A command from outside in the form that the play takes.
 
         Raises:
@@ -233,21 +233,21 @@ class Task:
             raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
         return choice
 
-    def idle_choice(self, play: Play, number: int, last: Any) -> Any:
+    def idle_choice(self, play: Rollout, number: int, last: Any) -> Any:
         """The choice of an agent controlled from outside that was told nothing new: to go on as before."""
         return Velocity(0.0, 0.0) if last is None else last
 
-    def is_busy(self, play: Play, number: int) -> bool:
+    def is_busy(self, play: Rollout, number: int) -> bool:
         """Whether an agent goes on with something by itself until it ends or a command interrupts it."""
         del play, number
         return False
 
-    def interrupts_running(self, play: Play, number: int, choice: Any) -> bool:
+    def interrupts_running(self, play: Rollout, number: int, choice: Any) -> bool:
         """Whether a command from outside interrupts what the agent is doing; by default all do."""
         del play, number, choice
         return True
 
-    def refusal(self, play: Play, number: int, choice: Any) -> str | None:
+    def refusal(self, play: Rollout, number: int, choice: Any) -> str | None:
         """Why a command, as `checked_choice` returned it, would be refused now, as a sentence; None: it would not."""
         del play, number, choice
         return None
@@ -260,7 +260,7 @@ class Task:
         """The choice that `choice_to_json` wrote."""
         return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
 
-    def last_reward(self, play: Play) -> float:
+    def last_reward(self, play: Rollout) -> float:
         """Reward of the last step of a play of one world."""
         return float(play.outcome.reward[0])  # type: ignore[attr-defined]
 
@@ -308,7 +308,7 @@ class Task:
         what = f"{self.name}:{scene_digest(episode.scene)}:{who}:{episode.seed}:{episode.spec}:{starts}:{episode.extra}"
         return str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:{what}"))
 
-    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    def hindsight(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """What ``episode.info`` says only after the last step."""
         del episode, policies
         return {"ended": play.ended}
@@ -408,13 +408,13 @@ class Task:
         """Further entries of a continued recording's info: since which step each agent's policy decides."""
         return {"deciding_since": [getattr(assigned.policy, "since", 0) for assigned in policies]}
 
-    def kept_info(self, recording: Recording, episode: Episode, play: Play) -> dict[str, Any]:
+    def kept_info(self, recording: Recording, episode: Episode, play: Rollout) -> dict[str, Any]:
         """Entries that a continued recording takes over."""
         del recording, episode, play
         return {}
 
     def keep_people(
-        self, play: Play, recording: Recording, since: int
+        self, play: Rollout, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
         """Puts people on their recorded tracks; returns facts about that for the info, and what to call after each step."""
         del since

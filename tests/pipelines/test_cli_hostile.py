@@ -202,7 +202,7 @@ def test_workers_make_the_same_episodes(tmp_path: Path, capsys: pytest.CaptureFi
 FILM = episode_jobs.film_job
 
 
-def die_at_the_second(job: episode_jobs.Job, filming: episode_jobs.Filming) -> episode_jobs.Filmed:
+def die_at_the_second(job: episode_jobs.Job, filming: episode_jobs.VideoJob) -> episode_jobs.RenderedVideo:
     if job.index == 1:
         os._exit(9)
     return FILM(job, filming)

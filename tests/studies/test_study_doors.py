@@ -22,7 +22,7 @@ from h3data_play.front import network
 from h3data_studies.commands.running import keep_design
 from h3data_studies.design import StudyPlan
 from h3data_studies.files import DESIGN_FILE, make_plan, read_design
-from h3data_studies.front import CHECK_S, HURRIED_S, MOST_UNCHECKED, WATCH_S, StudyFront
+from h3data_studies.front import CHECK_S, HURRIED_S, MOST_UNCHECKED, WATCH_S, StudyServer
 from h3data_studies.overview import overview
 from h3data_studies.pseudonyms import recruit_ids, rejoin_code
 from h3data_studies.store import DATABASE, StudyStore
@@ -58,7 +58,7 @@ class Study:
         plan = msgspec.structs.replace(made_plan(), design=design, out=str(folder), key_file=str(folder) + ".key")
         plan = msgspec.structs.replace(plan, places=plan.places[: design.participants])
         self.clock = Clock()
-        self.front = StudyFront(plan, behind_proxy=True, clock=self.clock)
+        self.front = StudyServer(plan, behind_proxy=True, clock=self.clock)
         self.front.preparer.ask = lambda order: None  # type: ignore[method-assign]
         self.stack, self.link = stack, ""
 

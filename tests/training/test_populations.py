@@ -35,18 +35,18 @@ from sim_kinematic.agents.skills import choices
 from sim_kinematic.policies.choosers.chooser_network import (
     OBSERVATIONS,
     OF_OTHER,
-    ChooserNetwork,
+    SkillPolicyNetwork,
     encoded,
     input_lengths,
     rest_count,
 )
-from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser, allowed
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy, allowed
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, network_of
-from sim_kinematic.policies.pictured import save_pictured
 from sim_kinematic.policies.rearrange import ZSC_TEN, partner_policy, planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import limits, observe
+from sim_kinematic.policies.visual_policy import save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import run
 
@@ -84,14 +84,14 @@ def whole(episodes: Sequence[RearrangeEpisode], tmp_path_factory: Any) -> Path:
     return folder
 
 
-def chooser(name: str = ROBOT, *, seed: int = 0, **changes: Any) -> ChooserNetwork:
+def chooser(name: str = ROBOT, *, seed: int = 0, **changes: Any) -> SkillPolicyNetwork:
     """An untrained policy."""
     return ChooserLearner(replace(SMALL, **changes), name, seed=seed).network()
 
 
 def arrays(folder: Path, name: str = POLICY) -> dict[str, np.ndarray]:
     network = network_of(f"weights:{folder / name}")
-    assert isinstance(network, ChooserNetwork)
+    assert isinstance(network, SkillPolicyNetwork)
     return dict(network.arrays)
 
 
@@ -198,10 +198,10 @@ def test_objects_are_alike_but_for_their_numbers() -> None:
     assert np.ptp(scores[:8].reshape(4, 2), axis=1).max() > 1e-4
 
 
-class _Watched(RecurrentChooser):
+class _Watched(RecurrentSkillPolicy):
     """Chooses at random and checks what it may choose."""
 
-    def __init__(self, network: ChooserNetwork, *, robot: bool, seed: int) -> None:
+    def __init__(self, network: SkillPolicyNetwork, *, robot: bool, seed: int) -> None:
         super().__init__(network, 2, robot=robot)
         self.rng, self.play, self.seen = np.random.default_rng(seed), None, set()
 
@@ -223,7 +223,7 @@ def test_what_cannot_be_is_never_offered(episodes: Sequence[RearrangeEpisode]) -
     episode = replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700))
     robot = _Watched(chooser(think_steps=200), robot=True, seed=1)
     person = _Watched(chooser("partner_0", think_steps=200), robot=False, seed=2)
-    play = RearrangePlay(episode, [
+    play = RearrangeRollout(episode, [
         playing.AssignedPolicy(robot, "robot", "robot"), playing.AssignedPolicy(person, "human", "human"),
     ])  # fmt: skip
     robot.play = person.play = play  # type: ignore[assignment]
@@ -235,8 +235,8 @@ def test_a_score_cannot_buy_what_is_not_allowed(episodes: Sequence[RearrangeEpis
     network = chooser()
     bias = network.arrays["each_1.bias"].copy()
     bias[2:] = 1e6  # pick and place, and nobody has arrived anywhere
-    policy = RecurrentChooser(replace(network, arrays={**network.arrays, "each_1.bias": bias}), 2, robot=True)
-    play = RearrangePlay(episodes[0], [
+    policy = RecurrentSkillPolicy(replace(network, arrays={**network.arrays, "each_1.bias": bias}), 2, robot=True)
+    play = RearrangeRollout(episodes[0], [
         playing.AssignedPolicy(policy, "robot", "robot"), playing.AssignedPolicy(planner("still", 0), "still", "human"),
     ])  # fmt: skip
     assert policy.act(play.view(0)).skill not in ("pick", "place")
@@ -254,11 +254,11 @@ def moved_person(view: Any, rng: np.random.Generator) -> Any:
 
 @pytest.mark.slow
 def test_without_gps_nothing_tells_where_the_person_is(episodes: Sequence[RearrangeEpisode]) -> None:
-    rng, robot = np.random.default_rng(0), RecurrentChooser(chooser(without=("humanoid_gps",)))
+    rng, robot = np.random.default_rng(0), RecurrentSkillPolicy(chooser(without=("humanoid_gps",)))
     assert robot.network.observations == tuple(n for n in OBSERVATIONS if n not in OF_OTHER)
     inputs: dict[str, list[np.ndarray]] = {"blind": [], "seeing": []}
     blind, seeing = robot.network.observations, OBSERVATIONS
-    play = RearrangePlay(replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
+    play = RearrangeRollout(replace(episodes[0], spec=replace(episodes[0].spec, max_steps=700)), [
         playing.AssignedPolicy(planner("still", 0), "still", "robot"),
         playing.AssignedPolicy(planner("both", 0), "both", "human"),
     ])  # fmt: skip
@@ -314,8 +314,8 @@ def test_an_ablation_is_kept_by_its_file(
     settings = replace(SMALL, without=without, updates=1)
     train(tmp_path, settings, workers=1, episodes=episodes)
     robot, person = (network_of(f"weights:{tmp_path / n}") for n in (POLICY, "partner_0.npz"))
-    assert isinstance(robot, ChooserNetwork)
-    assert isinstance(person, ChooserNetwork)
+    assert isinstance(robot, SkillPolicyNetwork)
+    assert isinstance(person, SkillPolicyNetwork)
     assert robot.card.primitives == ("primitives" not in without)
     assert ("other_gps_compass" in robot.observations) == ("humanoid_gps" not in without)
     assert person.card.primitives
@@ -327,7 +327,7 @@ def test_an_ablation_is_kept_by_its_file(
         train(tmp_path, replace(settings, without=()), workers=1, episodes=episodes, resume=True)
     card = msgspec.structs.replace(robot.card, observations=robot.observations[::-1])
     with pytest.raises(InputError, match=r"expected some of .* in this order"):
-        ChooserNetwork(card=card, arrays=robot.arrays)
+        SkillPolicyNetwork(card=card, arrays=robot.arrays)
 
 
 def test_files_of_before_still_play(episodes: Sequence[RearrangeEpisode], tmp_path: Path) -> None:
@@ -343,10 +343,10 @@ def test_files_of_before_still_play(episodes: Sequence[RearrangeEpisode], tmp_pa
     arrays = dict(network.arrays)
     for name, less in {"object.weight": of_object, "gru.weight_ih": rest, "rest_0.weight": rest}.items():
         arrays[name] = arrays[name][:, less:]
-    old = ChooserNetwork(card=card, arrays=arrays)
-    save_pictured(old, tmp_path / "old.npz")
+    old = SkillPolicyNetwork(card=card, arrays=arrays)
+    save_policy(old, tmp_path / "old.npz")
     kept = network_of(f"weights:{tmp_path / 'old.npz'}")
-    assert isinstance(kept, ChooserNetwork)
+    assert isinstance(kept, SkillPolicyNetwork)
     assert kept.digest == old.digest != network.digest
     played = playing.play_episode(Job(1, 0, "both", {ROBOT: kept}, 0, 0.99), episodes[0])
     assert played.decisions[ROBOT].each.shape[-1] == input_lengths(ROBOT, card.observations)[0]
@@ -363,7 +363,7 @@ def test_rewards_are_told_apart_by_decision_and_lose_nothing() -> None:
     assert gains[0] == gains[2] == 0
 
 
-def fabricated(rng: np.random.Generator, *, wanted: int, network: ChooserNetwork) -> Decisions:
+def fabricated(rng: np.random.Generator, *, wanted: int, network: SkillPolicyNetwork) -> Decisions:
     """An episode of 20 decisions at random, of which one choice pays."""
     agent, count = network.card.agent, 20
     inputs = [encoded(shown(agent, rng), agent=agent, objects=2) for _ in range(count)]
@@ -493,8 +493,8 @@ def test_a_run_leaves_policies_that_play(whole: Path, episodes: Sequence[Rearran
     assert [row["episodes"] for row in curve] == [3, 6, 9]
     assert curve[-1]["steps"] == pytest.approx(9 * 90)
     robot, person = (network_of(f"weights:{whole / n}") for n in (POLICY, "partner_0.npz"))
-    assert isinstance(robot, ChooserNetwork)
-    assert isinstance(person, ChooserNetwork)
+    assert isinstance(robot, SkillPolicyNetwork)
+    assert isinstance(person, SkillPolicyNetwork)
     assert (robot.card.agent, person.card.agent, robot.card.objects) == ("robot", "human", 2)
     assert robot.card.training["population"] == "learn_single"
     assert not same(dict(robot.arrays), dict(chooser().arrays))
@@ -616,8 +616,8 @@ def test_files_that_do_not_fit_are_refused(
     tmp_path: Path, episodes: Sequence[RearrangeEpisode], capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot, person = tmp_path / "robot.npz", tmp_path / "person.npz"
-    save_pictured(chooser(), robot)
-    save_pictured(chooser("partner_0"), person)
+    save_policy(chooser(), robot)
+    save_policy(chooser("partner_0"), person)
     task = find_task("rearrange")
     spec = task.Spec()
     task.check_policy("robot", f"weights:{robot}", spec)
@@ -633,7 +633,7 @@ def test_files_that_do_not_fit_are_refused(
     with pytest.raises(FormatError, match="for the task social_nav, these are for 'rearrange'"):
         find_task("social_nav").check_policy("robot", f"weights:{robot}", find_task("social_nav").Spec())
     with pytest.raises(FormatError, match="drive the robot quad_arm, the episode has wheeled"):
-        RecurrentChooser(chooser()).require_body("wheeled")
+        RecurrentSkillPolicy(chooser()).require_body("wheeled")
     broken = tmp_path / "broken.npz"
     network = chooser()
     for content, message in (
@@ -652,10 +652,10 @@ def test_files_that_do_not_fit_are_refused(
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
-def _file(folder: Path, network: ChooserNetwork, *, without: str = "", **changes: np.ndarray) -> bytes:
+def _file(folder: Path, network: SkillPolicyNetwork, *, without: str = "", **changes: np.ndarray) -> bytes:
     """A policy file with other arrays."""
     path = folder / "other.npz"
-    save_pictured(network, path)
+    save_policy(network, path)
     with np.load(path) as file:
         data = {n: file[n] for n in file.files if n != without} | changes
     np.savez(path, **data)  # type: ignore[arg-type]
@@ -664,7 +664,7 @@ def _file(folder: Path, network: ChooserNetwork, *, without: str = "", **changes
 
 def test_a_zero_shot_population_may_hold_files(tmp_path: Path) -> None:
     file = tmp_path / "person.npz"
-    save_pictured(chooser("partner_0"), file)
+    save_policy(chooser("partner_0"), file)
     request = EvaluationRequest(task="rearrange", partners=f"both,weights:{file}", zsc=(f"both,weights:{file}",))
     assert request.population == request.jobs()[0].partners
     assert "@" in request.population[1]
@@ -675,7 +675,7 @@ def test_trained_policies_come_with_the_package() -> None:
         cards = {}
         for name in names:
             network = network_of(name)
-            assert isinstance(network, ChooserNetwork)
+            assert isinstance(network, SkillPolicyNetwork)
             cards[name] = network.card
             assert network.card.agent == agent
             assert name.startswith(network.card.training["population"])

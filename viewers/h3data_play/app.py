@@ -71,8 +71,11 @@ class App:
         return Driver(self.session, number)
 
     def refusal(self, number: int, message: Act) -> str:
-        """Returns why a message of the player of agent ``number`` is not followed now, as a sentence; empty: it is. Like
-        everything else in an app it may depend on messages and on the world only, so that a game can go on after a crash."""
+        """Reason why a message of the player of agent ``number`` is not carried out now, as a sentence; empty if it is.
+
+        Like everything in an app, it may depend only on messages and the world, so that a game can continue after a
+        crash.
+        """
         del number, message
         return ""
 

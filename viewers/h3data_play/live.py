@@ -1,5 +1,7 @@
-"""An episode that people play: one `Session`, a driver for each player, and everything that they send, recorded to the
-letter."""
+"""A live episode: one `Session`, a driver for each player, and a recording of all their messages.
+
+Messages are recorded as they were sent.
+"""
 
 from __future__ import annotations
 
@@ -62,22 +64,28 @@ class PatientSink:
         self._info: dict[str, Any] | None = None
 
     def append(self, rows: dict[str, Any]) -> None:
+        """Appends steps; if the disk does not accept them, they stay in the writer."""
         self._try(partial(self.writer.append, rows))
 
     def event(self, event: Event) -> None:
+        """Appends an event."""
         self.writer.event(event)
 
     def skill(self, span: SkillSpan) -> int:
+        """Appends a skill and returns its number."""
         return self.writer.skill(span)
 
     def input(self, event: InputEvent) -> None:
+        """Appends raw input."""
         self.writer.input(event)
 
     def close(self, *, info: dict[str, Any]) -> None:
+        """Completes the recording, as soon as the disk accepts it."""
         self._info = info
         self.retry()
 
     def abort(self) -> None:
+        """Ends the recording early."""
         self.writer.abort()
 
     def retry(self) -> None:
@@ -95,11 +103,12 @@ class PatientSink:
             self.fault = fault.__cause__.strerror or str(fault.__cause__)
 
 
-class Table:
+class EpisodeFactory:
     """Where episodes of a plan come from, in one process."""
 
     def __init__(self, plan: PlayPlan) -> None:
-        """
+        """Loads the app, task and scenes of a plan.
+
         Raises:
             InputError: there is no such app, task, scene, agent or policy.
         """
@@ -169,11 +178,12 @@ class Table:
 
 
 def _unfinished(part: Path, saved: Path) -> Recording | None:
-    """What has been played of an episode that was not finished, kept in ``saved`` until it is in the log again: from the log,
-    or from an earlier attempt that did not come to its end.
+    """Steps that were played of an unfinished episode, from its log or from an earlier attempt to restore it.
+
+    They are stored in ``saved`` until they are in the log again.
 
     Raises:
-        InputError: there is no room to save it.
+        InputError: there is no room to save them.
     """
     found, again = _read(saved), saved.with_name(f"{saved.stem}.again.mcap")
     if part.exists():
@@ -203,7 +213,9 @@ def _read(path: Path) -> Recording | None:
 class LiveGame:
     """One episode under way."""
 
-    def __init__(self, table: Table, index: int, path: Path | None = None, order: GameOrder | None = None) -> None:
+    def __init__(
+        self, table: EpisodeFactory, index: int, path: Path | None = None, order: GameOrder | None = None
+    ) -> None:
         plan, episode = table.plan, table.episode(index)
         names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
         policies: dict[str, Any] = dict(names)
@@ -270,11 +282,13 @@ class LiveGame:
 
     # --- from players -------------------------------------------------------------------------------------------------
     def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
-        """A message acts on the next step, and is recorded to the letter; returns a sentence for the player where it cannot
-        be done.
+        """Takes a message of a player, which acts on the next step and is recorded as it was sent.
+
+        Returns:
+            A sentence for the player if the message cannot be carried out.
 
         Raises:
-            InputError: it is no command; nothing is recorded.
+            InputError: the message is no command; nothing is recorded.
         """
         why = self.drivers[number].take(message, self.app.refusal(number, message))
         self.app.on_input(number, message)
@@ -329,9 +343,12 @@ class LiveGame:
         return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
 
     def barriers(self, number: int) -> list[list[int]]:
-        """The door or drawer that the player of agent ``number`` has to open first to take each object, and to put it at its
-        goal: what shuts it in, or a door between rooms that leaves no path to it; -1: none. Empty where nothing opens, and
-        for spectators."""
+        """Doors and drawers that the player of agent ``number`` has to open first, for each object.
+
+        For each object there are two numbers: the part to open before taking it, and before putting it at its goal. It
+        is what encloses the object, or a door between rooms that leaves no path to it; -1 if there is none. The list is
+        empty in homes without such parts, and for spectators.
+        """
         play: Any = self.session.play
         openables = getattr(play, "openables", None)
         if openables is None or number not in self.drivers:
@@ -353,8 +370,10 @@ class LiveGame:
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:
-        """Finishes the recording; None, and no file, where no step was played. It has its final name once there is no
-        `fault`."""
+        """Finishes the recording; it has its final name once there is no `fault`.
+
+        Returns None, and leaves no file, if no step was played.
+        """
         session = self.session
         if len(session.recorder) == 0:
             session.recorder.abort()

@@ -51,8 +51,10 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(seat for seat in self.seats if seat != "spectator")
 
     def roster(self, usual: tuple[str, ...]) -> tuple[str, ...]:
-        """Kinds of the agents, robots first: ``usual``, and more where more are played. Nobody is added to people who play
-        alone or among themselves (partner ``solo``, or two people and no partner)."""
+        """Kinds of the agents, robots first: ``usual``, with further ones if more are played.
+
+        No agent is added to people who play alone or among themselves (partner ``solo``, or two people and no partner).
+        """
         people, robots = (self.players.count(kind) for kind in ("person", "robot"))
         among_themselves = self.partner == "solo" or (people > 1 and self.partner is None)
         robots = max(robots, 0 if among_themselves else usual.count("robot"))

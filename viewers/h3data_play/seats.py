@@ -1,5 +1,7 @@
-"""Who sits where: places at tables, the tokens by which browsers own them, and a journal of both on the disk, so that nobody
-loses a place when the front is killed."""
+"""Seats of players, the tokens by which browsers own them, and a journal of both on the disk.
+
+With the journal, nobody loses their seat when the server is killed.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,7 @@ def token_digest(token: str) -> str:
 
 
 @dataclass
-class Journal:
+class SeatLog:
     """Seats and games of a folder, in memory and in its SQLite file. What the disk does not take is not in memory either."""
 
     folder: Path

@@ -1,5 +1,7 @@
-"""The front as a process: ``python -m h3data_play.serve`` reads one JSON object from stdin and reports JSON lines on
-stdout. ``h3data play`` starts it."""
+"""The web server as a process, started by ``h3data play``.
+
+``python -m h3data_play.serve`` reads one JSON object from stdin and reports JSON lines on stdout.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ import msgspec
 from aiohttp import web
 
 from h3data_play.connections import runner_of
-from h3data_play.front import SEATS_PER_ADDRESS, Front
+from h3data_play.front import SEATS_PER_ADDRESS, WebServer
 from h3data_play.plan import PlayPlan
 from h3data_play.workers import Refused
 
@@ -45,7 +47,7 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     stays: bool = False
     """Whether it goes on after the last episode."""
 
-    def front(self, **given: Any) -> Front:
+    def front(self, **given: Any) -> WebServer:
         """The front of what is played; `given` are the options that all fronts have."""
         raise NotImplementedError
 
@@ -56,12 +58,14 @@ class PlayServeOptions(ServeOptions, frozen=True, kw_only=True):
     plan: PlayPlan
     tables: int = 1
 
-    def front(self, **given: Any) -> Front:
-        return Front(self.plan, tables=self.tables, **given)
+    def front(self, **given: Any) -> WebServer:
+        """Server of the session."""
+        return WebServer(self.plan, tables=self.tables, **given)
 
 
 def require_safe(options: ServeOptions) -> None:
-    """
+    """Checks that a server that others can reach uses TLS or a proxy.
+
     Raises:
         Refused: others could listen on the network.
     """
@@ -132,7 +136,7 @@ def _hear(stops: asyncio.Event) -> None:
         stops.set()
 
 
-async def _listen(front: Front, runner: web.AppRunner, options: ServeOptions, report: Any) -> None:
+async def _listen(front: WebServer, runner: web.AppRunner, options: ServeOptions, report: Any) -> None:
     await runner.setup()
     tls = None
     if options.cert:

@@ -1,5 +1,6 @@
-"""A step of the world as clients get it: little-endian, laid out by the manifest; 256 bytes for a robot, a person and two
-objects.
+"""Binary message with one step of the world, as clients receive it.
+
+It is little-endian, laid out by the manifest, and has 256 bytes for a robot, a person and two objects.
 
 ```
  0 u8 kind = 1 | 1 u8 flags | 2 u8 agents | 3 u8 objects in this state

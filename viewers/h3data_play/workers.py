@@ -183,9 +183,11 @@ class Workers:
 
 
 class Preparer:
-    """What pages need of episodes, made by the spare worker before they begin: files of a home and a look ahead take a second,
-    for which all games of the worker that plays would stand still. A game that begins beside others waits until the spare is
-    warm."""
+    """Parts of episodes that pages need, made by the spare worker before the episodes begin.
+
+    Files of a home and precomputed facts take a second, during which all games of the worker that plays would stand
+    still. A game that begins next to others waits until the spare worker is warm.
+    """
 
     def __init__(self, workers: Workers) -> None:
         self._workers = workers

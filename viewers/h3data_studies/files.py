@@ -13,7 +13,7 @@ import msgspec
 from h3data.errors import InputError, did_you_mean
 from h3data.habitat.scene_names import named_scenes
 from h3data.metrics import plan_sessions
-from h3data_play.live import Table
+from h3data_play.live import EpisodeFactory
 from h3data_play.plan import PlayPlan
 from h3data_studies.design import Block, Condition, Consent, Design, Exclude, Form, Place, StudyPlan, Text
 from h3data_studies.exclusions import PARTICIPANT_MEASURES, TRIAL_MEASURES
@@ -346,7 +346,7 @@ def key_file(folder: Path) -> Path:
 
 def _check_playable(name: str, plan: PlayPlan) -> None:
     try:
-        Table(plan)
+        EpisodeFactory(plan)
     except (InputError, TypeError) as fault:  # TypeError: rules that the task does not have
         where = f"condition {name}" if name else "tutorial"
         raise InputError(

@@ -45,14 +45,16 @@ def is_amass(names: tuple[str, ...]) -> bool:
 
 
 def read_amass(path: str | Path, *, up: Up = "z", fps: float | None = None, source: str = "") -> Motion:
-    """The motion in a file of AMASS or of the same layout: ``poses`` [T, 3n] of 55, 52, 24 or 22 joints, or
-    ``root_orient`` with ``pose_body`` (and ``pose_hand``, ``pose_jaw``, ``pose_eye``), ``trans``, and the frame rate.
+    """Reads motion from an npz file in the layout of AMASS.
+
+    The file has ``poses`` [T, 3n] of 55, 52, 24 or 22 joints, or ``root_orient`` with ``pose_body`` (and ``pose_hand``,
+    ``pose_jaw``, ``pose_eye``); further ``trans`` and the frame rate.
 
     Args:
-        path: The npz file; of pickled members nothing is read.
-        up: Axis of the file's world that points up: z in AMASS, y in some other sets.
-        fps: Frames per second, if the file does not say.
-        source: Origin and licence; AMASS' own terms are named if empty.
+        path: npz file; pickled members are not read.
+        up: axis of the file's world that points up: z in AMASS, y in some other sets.
+        fps: frames per second, if the file does not say.
+        source: origin and licence; AMASS' own terms are named if empty.
 
     Raises:
         FormatError: an array is missing or of the wrong shape, or a number is not finite; the message names its key.

@@ -55,8 +55,10 @@ TILT_DEG, BEND_DEG = 30.0, 100.0
 
 
 class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which joint of a file is which of ours, in TOML. ``{side}``, ``{Side}`` and ``{s}`` stand for left, Left and l, or for
-    right, Right and r."""
+    """Table of which joint of a BVH file is which of ours, in TOML.
+
+    ``{side}``, ``{Side}`` and ``{s}`` stand for left, Left and l, or for right, Right and r.
+    """
 
     joints: dict[str, str]
     """Our name: theirs, of which only letters and digits count. Those of `REQUIRED` must be there."""
@@ -176,8 +178,11 @@ def _bare(name: str) -> str:
 
 
 def _numbers(bvh: Bvh) -> dict[str, int]:
-    """Joints by their bare names, and by what is left of these without the beginning that all of them share: exporters put
-    the name of the character there (``mixamorig:Hips``, ``mixamorig_Hips``, ``Character1_Hips``)."""
+    """Numbers of joints by their bare names.
+
+    They can also be looked up without the prefix that all names share: exporters put the name of the character there
+    (``mixamorig:Hips``, ``mixamorig_Hips``, ``Character1_Hips``).
+    """
     bare = {_bare(joint.name): k for k, joint in enumerate(bvh.joints) if not joint.end_site}
     first, last = min(bare), max(bare)
     shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(first, last, strict=False)))

@@ -60,8 +60,9 @@ class Loop:
 
 
 def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Loop:
-    """The best loop of between ``min_s`` and ``max_s``: where all joints, seen from the pelvis, are where they were and move
-    as they moved.
+    """Finds the best loop between ``min_s`` and ``max_s`` long in a motion.
+
+    At its two ends all joints, seen from the pelvis, have nearly the same positions and velocities.
 
     Raises:
         InputError: the motion is shorter than ``min_s``.

@@ -47,8 +47,10 @@ _SEEN = [JOINT_INDEX[name] for name in list(JOINT_INDEX)[1:22] if name not in _L
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cycle:
-    """One captured cycle on one body, in the body frame (+Z forward, +Y up, +X left); phase 0 is the strike of the left foot,
-    0.5 that of the right one."""
+    """One captured cycle of walking on one body, in the body frame (+Z forward, +Y up, +X left).
+
+    Phase 0 is the strike of the left foot, 0.5 that of the right one.
+    """
 
     speed_mps: float
     stride_m: float
@@ -78,18 +80,22 @@ class MotionGaits(Gaits):
         return bool(np.all((np.asarray(speed_mps) > JOG_ABOVE_MPS) == (self.cycle.speed_mps > JOG_ABOVE_MPS)))
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:
+        """Length of a cycle at given speeds [...] [m], scaled from the captured one where the body moves like it."""
         speed = np.abs(np.asarray(speed_mps, np.float64))
         jogs = self.cycle.speed_mps > JOG_ABOVE_MPS
         captured = self.cycle.stride_m * np.sqrt((speed if jogs else np.minimum(speed, 2.0)) / self.cycle.speed_mps)
         return np.where((speed > JOG_ABOVE_MPS) == jogs, captured, Gaits.stride_m(self, speed))
 
     def stance(self, speed_mps: float) -> float:
+        """Share of a cycle in which a foot is on the floor, as captured where the body moves like that."""
         return self.cycle.stance if self.plays(speed_mps) else Gaits.stance(self, speed_mps)
 
     def strike(self, speed_mps: float) -> float:
+        """Place of a foot at its strike, as captured where the body moves like that."""
         return self.cycle.strike if self.plays(speed_mps) else Gaits.strike(self, speed_mps)
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:
+        """Posture at phases of a cycle, as captured where the body moves like that."""
         if not self.plays(speed_mps):
             return Gaits.posture(self, speed_mps, phase)
         return cycle_posture(self.cycle, self.legs, self.stride_m(speed_mps), np.asarray(phase, np.float64))

@@ -56,8 +56,11 @@ def _builtin_arrays(name: str) -> dict[str, Any]:
 
 @lru_cache(maxsize=64)
 def load_humanoid(name: str | Path) -> Humanoid:
-    """A built-in body by name (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or one from a file
-    that ends in ``.npz``; with a colon and an outfit (``female_0:dress``) they wear that. Loaded once, then shared."""
+    """Loads a body by name, once; later calls return the same object.
+
+    The name is a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or a file that
+    ends in ``.npz``; a colon and an outfit may follow (``female_0:dress``).
+    """
     body, outfit = split_outfit(str(name))
     if is_random(body):
         planes = to_planes, from_planes

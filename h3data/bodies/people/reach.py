@@ -91,6 +91,7 @@ class ReachResult:
 
     @property
     def reached(self) -> bool:
+        """Whether the point can be reached."""
         return self.status == "reached"
 
 
@@ -159,11 +160,11 @@ def grasp_point(body: Humanoid, hand: Hand) -> Array:
 
 
 @lru_cache(maxsize=64)
-def reacher(body: Humanoid, hand: Hand = "right") -> Reacher:
+def reacher(body: Humanoid, hand: Hand = "right") -> ReachSolver:
     """The solver of one hand, made once per body (5 ms)."""
     if hand not in HANDS:
         raise InputError(f"Expected the left or the right hand, got {hand!r}.", code="H3-BODY-081")
-    return Reacher(body, hand)
+    return ReachSolver(body, hand)
 
 
 class Table(NamedTuple):
@@ -195,7 +196,7 @@ def reach_table() -> Table:
     return Table(values, data["low"].astype(np.float64), data["step"].astype(np.float64))
 
 
-class Reacher:
+class ReachSolver:
     """Reaches with one hand of one body."""
 
     def __init__(self, body: Humanoid, hand: Hand, table: Table | None = None) -> None:

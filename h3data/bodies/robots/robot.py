@@ -145,6 +145,7 @@ class Robot:
 
     @property
     def link_names(self) -> tuple[str, ...]:
+        """Names of all links, in the order of `links`."""
         return tuple(link.name for link in self.links)
 
     @cached_property
@@ -165,8 +166,10 @@ class Robot:
 
     @cached_property
     def arm_columns(self) -> tuple[int, ...]:
-        """Columns of ``joint_pos`` that move the hand, in the order of the URDF: those of the seven arm joints of ``quad_arm``,
-        not its gripper. Empty without a hand."""
+        """Columns of ``joint_pos`` that move the hand, in the order of the URDF.
+
+        For ``quad_arm`` they are the seven joints of the arm, without the gripper. Empty without a hand.
+        """
         chain: list[int] = []
         link = self.hand_link
         while link >= 0:
@@ -198,6 +201,7 @@ class Robot:
 
     @cached_property
     def joint_tree(self) -> JointTree:
+        """Links and joints in the form that forward kinematics takes."""
         from h3data.bodies.robots.kinematics import JointTree
 
         parents = np.array([link.parent for link in self.links], np.int64)
@@ -246,8 +250,10 @@ class Robot:
         return out
 
     def link_matrices_torch(self, base: Tensor, joint_pos: Tensor) -> Tensor:
-        """The same in torch, on the device of ``joint_pos`` and differentiable: link frames [*batch, L, 4, 4] from agent
-        roots [*batch, 4, 4] and joint positions [*batch, J]."""
+        """Link frames [*batch, L, 4, 4] as torch tensors, differentiable in both arguments.
+
+        ``base`` are agent roots [*batch, 4, 4], ``joint_pos`` joint positions [*batch, J], whose device the result has.
+        """
         from h3data.bodies.robots.kinematics import link_frames_torch
 
         if joint_pos.shape[-1:] != (len(self.joint_names),) or base.shape[-2:] != (4, 4):

@@ -23,8 +23,11 @@ _TAG_HEIGHT_M = {"human": 1.95, "robot": 0.95}
 
 @dataclass(eq=False)
 class Group:
-    """Things that come and go together; viewers switch topics on and off, and when someone jumps in time they show the
-    last message of each. So who leaves the world at times has a topic, each of whose messages says all of it."""
+    """Entities of a scene that appear and disappear together, published on one topic.
+
+    Viewers switch topics on and off, and show the last message of each topic after a jump in time. Agents that leave
+    the world at times therefore have a topic of their own, each of whose messages describes the whole group.
+    """
 
     topic: str
     there: NDArray[np.bool_] | None

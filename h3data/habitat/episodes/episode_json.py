@@ -69,12 +69,14 @@ class Notes:
     found: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def add(self, what: str, where: str) -> None:
+        """Counts an oddity, with the first place where it occurs; with ``strict`` it is a `FormatError`."""
         if self.strict:
             raise FormatError(f"{where}: {what}: {self.path}", code="H3-HABITAT-018")
         count, first = self.found.get(what, (0, f"{where} in {self.path.name}"))
         self.found[what] = (count + 1, first)
 
     def texts(self) -> tuple[str, ...]:
+        """One line for each kind of oddity, with its count and its first place."""
         return tuple(f"{what}: {count} times, first at {first}" for what, (count, first) in self.found.items())
 
 
@@ -88,6 +90,11 @@ class _Draft:
 
 
 def decode_episodes(raws: Sequence[msgspec.Raw], notes: Notes) -> list[RearrangeEpisode]:
+    """Decodes episodes from JSON; oddities are added to ``notes``.
+
+    Raises:
+        FormatError: an episode is malformed; the message names its key.
+    """
     episodes: list[RearrangeEpisode] = []
     for start in range(0, len(raws), _BLOCK):
         rows: list[_Rows] = []
@@ -280,6 +287,11 @@ def _markers_json(markers: Sequence[Marker]) -> list[Any]:
 
 
 def encode_json(content: Any, where: str) -> bytes:
+    """Compact JSON of a value.
+
+    Raises:
+        InputError: it holds a number that is not finite, or a value that JSON does not know; the message names ``where``.
+    """
     try:
         return json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
     except (ValueError, TypeError, RecursionError) as fault:

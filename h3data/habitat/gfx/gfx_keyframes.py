@@ -36,15 +36,21 @@ class Transform(msgspec.Struct):
 
 
 class Frame(msgspec.Struct):
+    """Axes of an asset's file that point up and to the front."""
+
     up: Vec3 = (0.0, 1.0, 0.0)
     front: Vec3 = (0.0, 0.0, -1.0)
 
 
 class Phong(msgspec.Struct):
+    """Material that replaces the one in an asset's file."""
+
     diffuse: Annotated[list[Number], msgspec.Meta(min_length=3)] | None = None
 
 
 class Load(msgspec.Struct):
+    """Asset that is loaded from a file."""
+
     filepath: str
     frame: Frame = msgspec.field(default_factory=Frame)
     virtualUnitToMeters: Annotated[float, msgspec.Meta(gt=0, le=1e9)] = 1.0
@@ -52,6 +58,8 @@ class Load(msgspec.Struct):
 
 
 class Creation(msgspec.Struct):
+    """Properties of an instance of an asset."""
+
     filepath: str
     scale: Vec3 = (1.0, 1.0, 1.0)
     isStatic: bool = False
@@ -59,51 +67,71 @@ class Creation(msgspec.Struct):
 
 
 class CreationItem(msgspec.Struct):
+    """Instance that is created in a keyframe."""
+
     instanceKey: Key
     creation: Creation
 
 
 class State(msgspec.Struct):
+    """Pose of an instance."""
+
     absTransform: Transform
     semanticId: int | None = None
 
 
 class StateItem(msgspec.Struct):
+    """Change of an instance's pose in a keyframe."""
+
     instanceKey: Key
     state: State
 
 
 class Metadata(msgspec.Struct):
+    """Semantic and object ids of an instance."""
+
     semanticId: int | None = None
     objectId: int | None = None
 
 
 class MetadataItem(msgspec.Struct):
+    """Ids of an instance in a keyframe."""
+
     instanceKey: Key
     metadata: Metadata
 
 
 class BonePose(msgspec.Struct):
+    """Pose of a bone: translation and rotation."""
+
     t: Vec3
     r: Quat
 
 
 class RigCreation(msgspec.Struct):
+    """Skeleton that is created in a keyframe."""
+
     id: int
     boneNames: list[str] = []
 
 
 class RigUpdate(msgspec.Struct):
+    """Poses of the bones of a skeleton in a keyframe."""
+
     id: int
     pose: list[BonePose]
 
 
 class UserTransform(msgspec.Struct):
+    """Named transform that the recording program added, such as a camera's."""
+
     name: str
     transform: Transform
 
 
 class Keyframe(msgspec.Struct):
+    """Changes of the scene between two frames."""
+
     loads: list[Load] = []
     rigCreations: list[RigCreation] = []
     creations: list[CreationItem] = []

@@ -43,12 +43,16 @@ PERSON_VALUES = JOINT_VALUES + 32
 
 
 class AgentState(msgspec.Struct):
+    """Pose of an agent's root, and the object that it holds."""
+
     position: Vec3
     rotation_xyzw: Quat
     grasp_mgr_snap_idx: Id | None = None
 
 
 class Step(msgspec.Struct):
+    """One step of a log."""
+
     agent_states: list[AgentState] = []
     action: Any = None
     gui_humanoid: dict[str, Any] | None = None
@@ -57,6 +61,8 @@ class Step(msgspec.Struct):
 
 
 class Log(msgspec.Struct):
+    """Log of one episode."""
+
     steps: list[Step]
     episode_id: str | int | None = None
     scene_id: str | None = None

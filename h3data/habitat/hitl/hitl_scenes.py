@@ -29,8 +29,10 @@ class Place:
 
 
 def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -> Place:
-    """The scene that a log names by ``scene_id``: attached, if its file is found below a root of the library; else a
-    striped floor at the height ``floor_y`` [m] under the agents' feet.
+    """Scene that a log names by ``scene_id``.
+
+    It is attached if its file is in a root of the library; otherwise a striped floor at the height ``floor_y`` [m]
+    under the agents' feet replaces it.
     """
     path = clean_path(scene_id) if scene_id else ""
     name = PurePosixPath(path).name.split(".")[0] or "unknown"

@@ -51,6 +51,8 @@ class CameraTransform(msgspec.Struct):
 
 
 class User(msgspec.Struct):
+    """State of a user: camera, selected and held objects, and events."""
+
     camera_transform: CameraTransform | None = None
     finished_episode: bool | None = None
     held_object: Id | None = None
@@ -60,6 +62,8 @@ class User(msgspec.Struct):
 
 
 class ObjectState(msgspec.Struct):
+    """Pose of an object."""
+
     object_handle: str
     position: Vec3
     rotation: Quat
@@ -68,12 +72,16 @@ class ObjectState(msgspec.Struct):
 
 
 class AgentState(msgspec.Struct):
+    """Pose of an agent's root, and the object that it holds."""
+
     position: Vec3
     rotation: Quat
     grasp_mgr_snap_idx: Id | None = None
 
 
 class Frame(msgspec.Struct):
+    """One frame of a session."""
+
     t: Number | None = None
     users: list[User] = []
     object_states: list[ObjectState] = []
@@ -82,6 +90,8 @@ class Frame(msgspec.Struct):
 
 
 class File(msgspec.Struct):
+    """Content of a session file."""
+
     frames: list[Frame]
     episode: dict[str, Any] = {}
     session: dict[str, Any] = {}

@@ -1,5 +1,8 @@
-"""Numba kernels on a walking surface: convex polygons in space that share edges. All go from polygon to polygon through
-shared edges, so floors may lie above each other, and nothing gets through a wall, however thin or long the step."""
+"""Numba kernels on a walking surface, which consists of convex polygons in space that share edges.
+
+All kernels go from polygon to polygon through shared edges. Floors may therefore lie above each other, and nothing gets
+through a wall, however thin the wall or long the step.
+"""
 
 from __future__ import annotations
 
@@ -154,12 +157,13 @@ def _box_square(box: NDArray, polygon: int, x: float, y: float, z: float) -> flo
 
 @kernel(error_model="numpy")
 def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tuple[int, float, float, float]:
-    """(polygon, x, y, z) of the point of the surface nearest to a point, polygon -1: none in reach. As Detour's
-    findNearestPoly: polygons whose box touches the box of `REACH_M`; straight above or below counts less the climb; of
-    equals the first.
+    """Nearest point of the surface to a point, as (polygon, x, y, z); polygon -1 if there is none in reach.
 
-    With ``island`` >= 0 only its polygons count. First comes what is straight below or above, then rings of buckets around
-    it, as far as there may be something nearer.
+    As in Detour's findNearestPoly, candidates are polygons whose box touches the box of `REACH_M`, points straight
+    above or below count less the climb, and the first of equals is taken.
+
+    With ``island`` >= 0 only polygons of that island count. Polygons straight below or above are tested first, then
+    rings of buckets around them, as far out as a nearer one may be.
     """
     best, found, fx, fy, fz = np.inf, -1, np.nan, np.nan, np.nan
     if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
@@ -206,9 +210,11 @@ def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tupl
 def slide(
     surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float, rise: float
 ) -> tuple[int, float, float]:
-    """(polygon, x, z) of the point nearest to the target that can be reached from (x, z) within the circle over the way
-    there: the target itself, or a point of the walls around. As Detour's moveAlongSurface, whose circle has the length of
-    the way in space as diameter: a target that is ``rise`` [m] above the floor widens it (Habitat's base action does).
+    """Nearest point to a target that can be reached from (x, z), as (polygon, x, z).
+
+    It is the target itself, or a point on the walls within the circle whose diameter is the path to the target. This is
+    Detour's moveAlongSurface, whose circle has the length of the path in space as diameter: a target that is ``rise``
+    [m] above the floor widens it (Habitat's base action does that).
     """
     if contains(surface, polygon, tx, tz):
         return polygon, tx, tz
@@ -250,8 +256,10 @@ def slide(
 
 @kernel(error_model="numpy")
 def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float) -> tuple[int, float, float]:
-    """(polygon, x, z) where a straight way from (x, z) to the target ends: there, or at the first wall. As in habitat-sim, a
-    wall that it starts on counts, even where it leads away from the wall."""
+    """End of a straight path from (x, z) to the target, as (polygon, x, z): the target, or the first wall.
+
+    As in habitat-sim, a wall on which the path starts counts, even if the path leads away from it.
+    """
     dx, dz = tx - x, tz - z
     reached = 0.0
     p = polygon
@@ -308,8 +316,10 @@ def try_step(
 
 @kernel(error_model="numpy")
 def wall(surface: Surface, polygon: int, x: float, z: float, radius: float) -> tuple[float, NDArray]:
-    """Distance [m] on the floor to the nearest wall that is reached without crossing another, and its point [3];
-    ``radius`` and NaN when there is none within it. As Detour's findDistanceToWall."""
+    """Distance [m] on the floor to the nearest wall that is reached without crossing another, and its point [3].
+
+    They are ``radius`` and NaN if there is none within ``radius``. This is Detour's findDistanceToWall.
+    """
     hit = np.full(3, np.nan)
     seen = np.zeros(len(surface.island), np.bool_)
     stack = np.empty(len(surface.island), np.int32)

@@ -18,8 +18,10 @@ the wall is all that can be seen along it."""
 
 
 def build_surface(navmesh: NavMesh) -> Surface:
-    """The polygons of a navmesh that can be walked on, without path graph (see `with_graph`); polygon k of the surface is
-    the k-th of `NavMesh.enabled`."""
+    """Polygons of a navmesh that can be walked on, without path graph (see `with_graph`).
+
+    Polygon k of the surface is the k-th of `NavMesh.enabled`.
+    """
     kept = np.flatnonzero(navmesh.enabled)
     new = np.full(len(navmesh.flags) + 1, -1, np.int32)
     new[kept] = np.arange(len(kept))

@@ -148,8 +148,10 @@ def link_nodes(surface: Surface) -> tuple[NDArray, NDArray]:
 
 @kernel()
 def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: int) -> tuple[float, NDArray]:
-    """Length [m] in space of the shortest path between points [3] in polygons ``first`` and ``last``, and its points
-    [k, 3]; inf and none where there is no way."""
+    """Length [m] in space of the shortest path between two points [3], and the path's points [k, 3].
+
+    The points lie in polygons ``first`` and ``last``. Returns infinity and no points if there is no path.
+    """
     if surface.island[first] != surface.island[last]:
         return np.inf, np.empty((0, 3))
     n = len(surface.node)

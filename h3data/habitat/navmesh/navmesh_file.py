@@ -272,8 +272,10 @@ def write_navmesh(navmesh: NavMesh, path: str | Path) -> None:
 
 
 def navmesh_bytes(navmesh: NavMesh) -> bytes:
-    """The content of a ``.navmesh``; links and search tree are left to Detour (it builds the one and does without the
-    other). Raises as `write_navmesh`."""
+    """Content of a ``.navmesh`` file; raises as `write_navmesh`.
+
+    Links and the search tree are left out: Detour builds the links itself and works without the tree.
+    """
     count = np.diff(navmesh.polygon_start)
     if len(navmesh.vertices) > 0xFFFE or len(count) > 0x7FFE or count.max(initial=0) > 6:
         raise InputError(

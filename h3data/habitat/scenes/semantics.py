@@ -74,8 +74,10 @@ def read_lexicon(content: Mapping[str, Any], *, where: Path) -> dict[int, str]:
 
 
 def polygon_rectangles(loop: NDArray[np.float64] | Sequence[Sequence[float]]) -> NDArray[np.float64]:
-    """Disjoint rectangles ``x0 z0 x1 z1`` [R, 4] with the area of a polygon [N, 2] (even-odd); empty for fewer corners
-    than three, or no area."""
+    """Disjoint rectangles ``x0 z0 x1 z1`` [R, 4] with the area of a polygon [N, 2] (even-odd rule).
+
+    The result is empty for fewer than three corners, or no area.
+    """
     corners = np.asarray(loop, np.float64).reshape(-1, 2)
     if len(corners) < 3:
         return np.zeros((0, 4))

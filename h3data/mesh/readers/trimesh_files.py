@@ -51,6 +51,14 @@ class FilesBeside:
         self.missing: list[str] = []
 
     def get(self, name: Any) -> bytes:
+        """Content of a file that the mesh file names, relative to the mesh file's folder.
+
+        MTL files come back with plain names of materials.
+
+        Raises:
+            FileNotFoundError: the name leads outside the folder.
+            OSError: the file is missing or cannot be read.
+        """
         text = (name.decode(errors="replace") if isinstance(name, bytes) else str(name)).strip()
         clean = path_inside(text)
         if clean is None:

@@ -155,11 +155,11 @@ class LogWriter:
             self.flush()
 
     def append_recording(self, recording: Recording) -> None:
-        """Writes all steps, skills, events and inputs of a recording in chunks of at most `chunks.CHUNK_S` (`chunks.repeats`
-        names the exception).
+        """Writes all steps, skills, events and inputs of a recording.
 
-        Events, inputs and skills follow the steps at which they are known, a skill as ``running`` until it has ended. A file
-        that is cut off thus loses only the chunks behind the cut.
+        Chunks span at most `chunks.CHUNK_S` (`chunks.repeats` names the exception). Events, inputs and skills follow
+        the steps at which they become known; a skill is written as ``running`` until it has ended. A file that is cut
+        off thus loses only the chunks after the cut.
         """
         parts, long_chunks = CutRecording(recording), repeats(recording.columns)
         for start, stop in slices(recording.columns["time_ns"]):

@@ -25,13 +25,17 @@ def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
 
 
 class Backlog:
-    """A stream to a file that keeps what the disk does not take. `write` never fails; `flush` hands over what there is, and
-    goes on where it stopped when it is called again. What is in the file is always the beginning of what was written."""
+    """Stream to a file that buffers whatever the disk does not accept.
+
+    `write` never fails. `flush` writes what is in the buffer, and continues where it stopped when it is called again.
+    The file always holds the beginning of everything written to the stream.
+    """
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self._left, self._end = file, bytearray(), 0
 
     def write(self, data: bytes) -> int:
+        """Appends bytes to the buffer, writes the buffer to the file once it is large, and returns the number of bytes."""
         self._left += data
         self._end += len(data)
         # not left to the next flush where the disk takes it: without one for long, all of it would gather in
@@ -42,10 +46,12 @@ class Backlog:
         return len(data)
 
     def tell(self) -> int:
+        """Number of bytes written to the stream, including those still in the buffer."""
         return self._end
 
     def flush(self) -> None:
-        """
+        """Writes the whole buffer to the file.
+
         Raises:
             OSError: the disk is full or fails.
         """
@@ -53,13 +59,16 @@ class Backlog:
         self._file.flush()
 
     def fileno(self) -> int:
+        """File descriptor of the underlying file."""
         return self._file.fileno()
 
     def close(self) -> None:
+        """Closes the underlying file; bytes still in the buffer are lost."""
         self._file.close()
 
     @property
     def closed(self) -> bool:
+        """Whether the underlying file is closed."""
         return self._file.closed
 
     def _hand_over(self) -> None:

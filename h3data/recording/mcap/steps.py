@@ -56,6 +56,7 @@ class McapSteps(Steps):
         return self._steps
 
     def close(self) -> None:
+        """Closes the log and drops the decompressed chunks from memory."""
         self._file.close()
         self._kept.clear()
 

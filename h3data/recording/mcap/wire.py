@@ -52,14 +52,17 @@ class WireField:
 
     @property
     def proto_type(self) -> str:
+        """Name of the field's protobuf type."""
         return "bytes" if self._as_bytes else _WIRE[self.column.dtype][0]
 
     @property
     def repeated(self) -> bool:
+        """Whether the field holds several numbers, written as a packed repeated field."""
         return bool(self.column.shape) and not self._as_bytes
 
     @property
     def wire_dtype(self) -> np.dtype[Any]:
+        """Type of the field's numbers as they lie in the message."""
         return np.dtype("u1" if self._as_bytes else _WIRE[self.column.dtype][1])
 
     @property

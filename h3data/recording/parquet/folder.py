@@ -100,11 +100,13 @@ class DatasetFolder:
 
     @cached_property
     def episodes(self) -> pa.Table:
-        """One row per episode: LeRobot's columns (place, length) and ours (uid, task, scene, seed, info as JSON, ...), without
-        LeRobot's statistics of what is no video.
+        """Table of the committed episodes, one row each.
+
+        It has LeRobot's columns (location, length), ours (uid, task, scene, seed, info as JSON, ...), and of LeRobot's
+        statistics only those of videos.
 
         Raises:
-            FormatError: a table is damaged, or tables are missing.
+            FormatError: a table is damaged or missing.
         """
         paths = shard_files(self.root, "meta/episodes")
         kept = tuple(f"stats/{video.key}/" for video in self.schema.videos)

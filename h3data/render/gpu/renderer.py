@@ -52,14 +52,15 @@ class GpuRenderer:
         light: Light | None = None,
         device: str | torch.device | None = None,
     ) -> None:
-        """
+        """Copies scenes to the GPU and compiles the kernels.
+
         Args:
-            scenes: One scene or several.
-            width: Width of the images [px].
-            height: Height of the images [px].
-            worlds: Number of worlds.
-            scene_of_world: Index of each world's scene; by default world w shows scene w modulo their number.
-            light: Light; default `Light()`. Cast shadows are not supported.
+            scenes: one scene or several.
+            width: width of the images [px].
+            height: height of the images [px].
+            worlds: number of worlds.
+            scene_of_world: index of each world's scene; by default world w shows scene w modulo their number.
+            light: light; default `Light()`. Cast shadows are not supported.
             device: CUDA device; default the current one.
 
         Raises:
@@ -184,8 +185,11 @@ class GpuRenderer:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def update_poses(self, poses: Any) -> None:
-        """Sets the poses of moving instances, [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world, in the order of
-        `GpuScene.slots`. If N is smaller than their number, the others keep theirs. NaN hides an instance."""
+        """Sets the poses of moving instances, [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world.
+
+        They are in the order of `GpuScene.slots`. If N is less than their number, the others keep their poses. NaN
+        hides an instance.
+        """
         given = self._floats(poses, "poses", 4)
         count = given.shape[1]
         if count > self.packed.slots - 1 or given.shape[0] != self.worlds or given.shape[2:] not in ((4, 4), (3, 4)):
@@ -196,8 +200,11 @@ class GpuRenderer:
         self._poses[:, :count].unflatten(2, (3, 4)).copy_(given[:, :, :3])
 
     def update_joints(self, joints: Any) -> None:
-        """Deforms all skinned meshes: ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]), joint to world, for the
-        scene's deformable meshes in order; the second axis may be omitted for a single body. NaN hides a body."""
+        """Deforms all skinned meshes by their joints.
+
+        ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]) map joint to world, for the scene's deformable meshes in
+        order; the second axis may be omitted for a single body. NaN hides a body.
+        """
         count = self._palettes.shape[2]
         given = self._floats(joints, "joints", None)
         if given.ndim == 4:
@@ -209,8 +216,11 @@ class GpuRenderer:
         self._skin(given if given.data_ptr() % 16 == 0 else given.clone())  # the kernel reads rows as float4
 
     def update_vertices(self, mesh: int, vertices: Any) -> None:
-        """Replaces the vertices [worlds, V, 3] [m] of a deformable mesh without skin, in all worlds whose scene has such a
-        mesh with V vertices (at least one must). NaN hides the triangles at a vertex."""
+        """Replaces the vertices [worlds, V, 3] [m] of a deformable mesh without skin.
+
+        It applies to all worlds whose scene has such a mesh with V vertices; there must be at least one. NaN hides the
+        triangles at a vertex.
+        """
         given = self._floats(vertices, "vertices", 3)
         where = [
             (number, first[mesh])

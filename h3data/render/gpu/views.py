@@ -54,6 +54,7 @@ class Views:
 
     @property
     def count(self) -> int:
+        """Number of cameras."""
         return len(self.cameras)
 
 

@@ -45,18 +45,23 @@ class CpuEngine:
 
     # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
+        """Sets transforms [n, 4, 4] of instances in one world."""
         self.worlds[world].set_transforms(instances, matrices)
 
     def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
+        """Shows or hides instances in one world."""
         self.worlds[world].set_visible(instances, visible)
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
+        """Replaces the vertices [V, 3] of a deformable mesh in one world."""
         self.worlds[world].set_vertices(mesh, vertices)
 
     def set_blockers(self, world: int, blockers: Blockers | None) -> None:
+        """Sets the capsules that cast soft shadows in one world; None removes them."""
         self.worlds[world].blockers = blockers
 
     def poses(self, world: int) -> Poses:
+        """Copy of the transforms, vertices and visibility in one world."""
         return self.worlds[world].poses()
 
     # --- images -------------------------------------------------------------------------------------------------------
@@ -68,6 +73,7 @@ class CpuEngine:
         samples: int,
         out: Mapping[str, NDArray] | None,
     ) -> dict[str, NDArray]:
+        """Renders one image per camera and world, in several threads."""
         results = picture_arrays(cameras, outputs, out)
         # before the threads begin, which would otherwise write to the same arrays; depth needs no normals
         if "rgb" in outputs or "normal" in outputs:
@@ -232,6 +238,7 @@ class World:
         return Shown(self.matrix.copy(), shown.copy(), dict(self.vertices), tints)
 
     def set_transforms(self, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
+        """Sets transforms [n, 4, 4] of instances."""
         self.matrix[instances] = matrices
         # for ever: what has never moved is prepared once for rays (`h3data.render.hybrid`), so what moves must
         # stay out of it
@@ -239,6 +246,7 @@ class World:
         self.version += 1
 
     def set_visible(self, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
+        """Shows or hides instances."""
         self.visible[instances] = visible
         self.version += 1
 

@@ -215,8 +215,10 @@ def _compare_tiles(earlier, listed_earlier, first, listed, same, changed):
 
 
 def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
-    """Boxes around the spheres of each capsule [N, S, 4]: from x, y [px] and 1/z to x, y and 1/z, [N, 6]; 1e9 to 0 if none is
-    seen."""
+    """Boxes on the screen around the spheres of each capsule [N, S, 4], as [N, 6].
+
+    A box reaches from x, y [px] and 1/z to x, y and 1/z; it is 1e9 to 0 if no sphere is visible.
+    """
     center = (spheres[..., :3] - view.eye) @ view.axes
     side, z, r = center[..., :2], center[..., 2:], spheres[..., 3:]
     intrinsics = view.intrinsics / factor

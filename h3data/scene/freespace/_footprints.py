@@ -178,8 +178,11 @@ def _capsule_footprint(shape: Capsule, matrix: NDArray, low: float, high: float)
 
 
 def _clip_to_band(points: NDArray, low: float, high: float) -> NDArray:
-    """Points [M, 3] whose hull is the hull of ``points`` [N, 3] between two heights: those inside, and where the
-    connecting lines cross the two planes (for a convex body, all pairs may be joined)."""
+    """Points [M, 3] whose hull is the hull of ``points`` [N, 3] between two heights.
+
+    They are the points inside the band, and where lines between points cross its two planes. For a convex body all
+    pairs of points may be connected.
+    """
     for plane, sign in ((low, 1.0), (high, -1.0)):
         side = (points[:, 1] - plane) * sign
         inside, outside = points[side > 0], points[side <= 0]

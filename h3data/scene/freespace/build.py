@@ -260,9 +260,12 @@ def walkable_from_triangles(
 
 
 def _mask_outline(mask: NDArray[np.bool_], origin: NDArray, cell: float, radius_m: float) -> MultiPolygon:
-    """Outline of the cells of a mask, moved out by (nearly) half a cell: a wall blocks whole cells, so it is half a cell
-    too thick on average. Nearly, so that a wall of one cell is thin but still there. Patches that the agent does not fit
-    in are the insides of walls and furniture, and are left out."""
+    """Outline of the cells of a mask, expanded by nearly half a cell.
+
+    A wall blocks whole cells, so it is half a cell too thick on average; the expansion is less than half a cell, so
+    that a wall of one cell is thin but still there. Patches in which the agent does not fit are the insides of walls
+    and furniture, and are left out.
+    """
     rectangles = mask_rectangles(mask) * cell + np.array([origin[0], origin[2]] * 2)
     cells = shapely.union_all(shapely.box(*rectangles.T))
     parts = [p.buffer(0.49 * cell, join_style="mitre") for p in polygon_parts(cells)]

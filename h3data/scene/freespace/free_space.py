@@ -125,8 +125,10 @@ class FreeSpace(FloorMap):
 
     @cached_property
     def without_stairs(self) -> FreeSpace:
-        """The same for agents that cannot climb: flights of stairs are obstacles, each storey is an island. Level floors are
-        their own."""
+        """Same floor for agents that cannot climb: flights of stairs are obstacles, and each storey is an island.
+
+        A level floor returns itself.
+        """
         return FreeSpace.from_map(without_stairs(self)) if self.has_stairs else self
 
     # --- distance to obstacles ------------------------------------------------------------------------------------------

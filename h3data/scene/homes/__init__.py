@@ -27,8 +27,11 @@ def build_home(spec: HomeSpec) -> Scene:
 
 
 def categories_of(scene: Scene) -> list[str]:
-    """Names of semantic classes in the order of their ids: of the first generation or, for homes of the second, of all, those
-    of stairs only where there are some."""
+    """Names of semantic classes of a generated home, in the order of their ids.
+
+    They are those of the first generation or, for homes of the second, all; those of stairs only if the home has
+    stairs.
+    """
     if scene.source.get("kind") != "home" or scene.source.get("generation", 1) == 1:
         return list(CATEGORIES)
     from h3data.scene.homes.kinds import BUILDING, KINDS

@@ -64,10 +64,10 @@ class _Place:
 
 
 def with_doors(scene: Scene, layout: Layout, style: Style, rng: np.random.Generator, *, swing_m: float) -> Scene:
-    """The scene with a leaf in each of its doorways, all of them open. Those swing that then stand within ``swing_m`` of a
-    wall, if nothing is in their way; the others slide.
+    """Scene with a door in each of its doorways, all of them open.
 
-    Doorways that are wide, and those beside which a wall is too short to slide into, stay as they are.
+    Doors swing if the open door is within ``swing_m`` of a wall and nothing is in its sweep; the others slide. Doorways
+    that are wide, and those next to walls that are too short to slide into, stay as they are.
     """
     boxes = _furniture(scene)
     swept: list[NDArray[np.float64]] = []

@@ -36,6 +36,7 @@ class RoomPlan:
 
     @property
     def area(self) -> float:
+        """Area of the room [m^2]."""
         return rect_area(self.rect)
 
 
@@ -75,6 +76,7 @@ class Layout:
     """Whether openings may be as wide as a room, so that furniture may stand near them."""
 
     def room(self, name: str) -> RoomPlan:
+        """Room with a given name."""
         return next(r for r in self.rooms if r.name == name)
 
 
@@ -281,6 +283,7 @@ class OuterWall:
 
 
 def outer_walls(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[OuterWall]:
+    """Stretches of a room's walls that no other room shares."""
     walls = [w for r in rooms if r is not room and (w := shared_wall(room.rect, r.rect)) is not None]
     stretches = []
     axes: tuple[Literal[0, 1], ...] = (1, 0)

@@ -38,6 +38,11 @@ class Finish(tuple[int, int, int]):
     material: str
 
     def __new__(cls, color: Sequence[int], material: str) -> Finish:
+        """Creates a colour with a material.
+
+        Raises:
+            InputError: there is no such material.
+        """
         if material not in MATERIALS:
             raise InputError(f"Unknown material {material!r}. Available: {', '.join(MATERIALS)}.", code="H3-SCENE-026")
         finish = super().__new__(cls, color)

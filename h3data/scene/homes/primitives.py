@@ -94,10 +94,10 @@ def _longest_first(size: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def boxes(size: NDArray[np.float64], bevel: NDArray[np.float64]) -> tuple[Solid, NDArray[np.intp], NDArray[np.bool_]]:
-    """Boxes of full sizes [N, 3] with edges cut by bevels [N], 24 vertices each; also the box of each vertex [V] and
-    whether each triangle belongs to a bevel [F].
+    """Boxes of full sizes [N, 3] with edges cut by bevels [N], 24 vertices each.
 
-    Batched, because a home has thousands of boxes.
+    Also returns the box of each vertex [V] and whether each triangle belongs to a bevel [F]. The computation is
+    batched, because a home has thousands of boxes.
     """
     signs, normals, faces = _box_template()
     half = size[:, None] / 2
@@ -200,8 +200,11 @@ def _turns(points: int, segments: int) -> tuple[NDArray[np.float64], NDArray[np.
 
 @lru_cache(maxsize=512)
 def _strips(wide: tuple[bool, ...], points: int, segments: int) -> NDArray[np.int32]:
-    """Triangles [F, 3] of a lathe whose profile has these points: ``wide`` where it is away from the axis, so that there is
-    a triangle and not an edge. Shared: never write to it."""
+    """Triangles [F, 3] of a lathe with a profile of ``points`` points.
+
+    ``wide`` marks the points away from the axis, where there is a triangle and not an edge. The result is shared: never
+    write to it.
+    """
     k = np.arange(segments)
     n = (k + 1) % points
     faces = []

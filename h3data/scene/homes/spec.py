@@ -33,6 +33,7 @@ class HomePreset:
 
     @property
     def bedroom_kinds(self) -> list[str]:
+        """Kind of each bedroom: ``bedroom``, or ``child`` for children's rooms."""
         return ["bedroom"] * (self.bedrooms - self.children) + ["child"] * self.children
 
 
@@ -122,8 +123,10 @@ class HomeSpec:
     """Whether doorways have doors, some of them closed (second generation). The rest is as without."""
 
     def __repr__(self) -> str:
-        """As of a plain dataclass; without the fields that came later where they are not set, because jobs and recordings have
-        their identity from it."""
+        """Text of the specification, from which jobs and recordings derive their identity.
+
+        It is that of a plain dataclass, without fields that were added later and have their default values.
+        """
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         for name, default in _LATER.items():
             if values[name] == default:

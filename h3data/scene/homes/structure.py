@@ -258,6 +258,7 @@ def wall_bar(
     height: tuple[float, float],
     color: Color,
 ) -> None:
+    """Adds a box along a wall to a mesh, given its range along the wall, across it, and in height."""
     x0, z0, x1, z1 = plan_box(axis, along, (min(across), max(across)))
     mesh.span((x0, height[0], z0), (x1, height[1], z1), color)
 

@@ -39,6 +39,7 @@ class Zoning:
 
 
 def rect_area(rect: Rect) -> float:
+    """Area of a rectangle [m^2]."""
     return (rect[2] - rect[0]) * (rect[3] - rect[1])
 
 

@@ -260,8 +260,10 @@ def _cells_2(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
 def _grouped(
     rng: np.random.Generator, cells: Sequence[_Cell], depth: float, scale: float, wide: tuple[float, float]
 ) -> list[_Unit]:
-    """Cells large enough to span the depth of a row, and the others in groups of a width in the range ``wide`` [m] around
-    branch corridors."""
+    """Cells large enough to span the depth of a row, and groups of the others.
+
+    Groups have a width in the range ``wide`` [m] and lie around branch corridors.
+    """
     deep = [c for c in cells if c.area * scale / depth >= 0.52 * depth]
     small = [c for c in cells if c not in deep]
     if not small:

@@ -52,6 +52,7 @@ class BodiesShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Renders the bodies, and returns their names and sizes."""
         from h3data.render.image_files import write_image
 
         names = self._names()
@@ -154,6 +155,11 @@ class BodiesBake:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the body's .npz file.
+
+        Raises:
+            InputError: a parameter is out of range.
+        """
         if self.out.suffix != ".npz":
             raise InputError(f"Expected a file name that ends in .npz, got: {self.out}", code="H3-BODY-126")
         limits = {

@@ -65,6 +65,11 @@ class MotionImport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Converts all files and returns a report with a row for each.
+
+        Raises:
+            InputError: there is nothing to import, or the only file cannot be read.
+        """
         if not self.paths:
             raise InputError("Expected at least one file or folder to import.", code="H3-BODY-129")
         options = _options(self.up, self.fps, self.names, self.unit_m, self.source)
@@ -144,6 +149,7 @@ class MotionShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Renders the motion, and returns facts about it."""
         if not self.paths:
             raise InputError("Expected at least one motion file.", code="H3-BODY-131")
         if not 1 <= self.frames <= 32 or not 200 <= self.width <= 8000:

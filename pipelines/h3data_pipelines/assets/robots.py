@@ -47,6 +47,7 @@ class RobotsShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Renders the robots, and returns their names and sizes."""
         from h3data.render.image_files import write_image
 
         robots = [load_robot(name, up=self.up) for name in self.names] or _usable_robots(self.up)
@@ -100,6 +101,7 @@ class RobotsReach:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Solves the inverse kinematics and returns the joint positions."""
         robot = load_robot(self.name, up=self.up)
         if not self.link and robot.hand_link < 0:
             raise InputError(f"Robot {robot.name} has no hand: name one of its links with --link.", code="H3-BODY-140")
@@ -137,6 +139,7 @@ class RobotsInit:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the settings file with what is guessed from the URDF."""
         settings = guess_robot_settings(self.urdf, up=self.up)
         target = claim_file(self.out or self.urdf.with_name(SETTINGS_NAME), force=self.force)
         reference = self.urdf.name if target.parent.resolve() == self.urdf.parent.resolve() else self.urdf.resolve()

@@ -175,6 +175,7 @@ def short_name(name: str) -> str:
 
 # --- tables and files -------------------------------------------------------------------------------------------------
 def cell(value: Any) -> str:
+    """Value as text for a table; numbers that are not integers have two decimals."""
     return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 

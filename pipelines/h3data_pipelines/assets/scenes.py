@@ -75,6 +75,7 @@ class ScenesList:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns a table of presets and scene sets, or of the sizes of the given scenes."""
         if self.homes < 1:
             raise InputError(f"--homes must be at least 1, got {self.homes}.", code="H3-BODY-147")
         if not self.scenes:
@@ -132,6 +133,7 @@ class ScenesShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Renders the scene to a PNG file."""
         from h3data.render import write_png
         from h3data.render.sheets.scene_map import eye_level_picture, plan_picture, scene_map
 
@@ -196,6 +198,7 @@ class ScenesExport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the scenes as a Habitat scene dataset or as GLB files."""
         if not self.scenes:
             raise InputError(f"Expected at least one scene: {_SCENE_HELP}", code="H3-BODY-151")
         if self.episodes is not None and self.episodes < 0:
@@ -294,8 +297,10 @@ class ScenesExport:
 
 @dataclass(frozen=True)
 class ScenesValidate:
-    """Check scenes for problems: disconnected floor, unreachable rooms, narrow passages, overlapping, floating or sunken
-    objects, receptacles out of reach, missing assets. Exits with code 1 if there are any.
+    """Check scenes for problems; exits with code 1 if there are any.
+
+    Problems are a disconnected floor, unreachable rooms, narrow passages, overlapping, floating or sunken objects,
+    receptacles out of reach, and missing assets.
 
     Examples:
         h3data scenes validate small:3 medium:0
@@ -319,6 +324,7 @@ class ScenesValidate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Checks the scenes, draws their problems on plans if asked to, and returns a report."""
         if not self.scenes:
             raise InputError(f"Expected at least one scene: {_SCENE_HELP}", code="H3-BODY-151")
         if not 0.05 <= self.radius <= 2:

@@ -1,5 +1,7 @@
-"""The paper's speed benchmark: random steps of one or two agents in W worlds, each with a depth image per agent (paper,
-section 3 and appendix, benchmarking; spec/habitat.md 7)."""
+"""The paper's speed benchmark: random steps of one or two agents in W worlds, with a depth image per agent.
+
+The protocol is described in the paper (section 3 and appendix, benchmarking; spec/habitat.md 7).
+"""
 
 from __future__ import annotations
 
@@ -142,8 +144,10 @@ class BenchmarkWorlds:
         return self.render(("depth",))["depth"]
 
     def render(self, outputs: tuple[Any, ...]) -> dict[str, Any]:
-        """What each agent (or the arm) sees in each world, by output, [agents * W, H, W', ...]: all worlds of the first come
-        first."""
+        """Renders the view of each agent (or of the arm) in each world, by output, [agents * W, H, W', ...].
+
+        All worlds of the first agent come first.
+        """
         self.drawn.pose(self.state, frames=[agent.frames for agent in self._in_order()])
         if self.cell.pictures == "arm":
             return self.drawn.picture(self.drawn.cameras(CAMERA), outputs)

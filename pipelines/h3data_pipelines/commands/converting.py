@@ -75,6 +75,7 @@ class Convert:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Converts the recordings, in several processes if asked to, and returns the number of episodes and files."""
         if self.force and self.resume:
             raise InputError("Choose one: --resume continues the output, --force replaces it.", code="H3-OPTION-022")
         if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
@@ -239,8 +240,11 @@ class Convert:
 
 
 def write_logs(command: Convert, part: EpisodePart) -> list[dict[str, Any]]:
-    """Writes the episodes of a part as logs. The output folder was empty, or is gone on with or replaced: what an earlier try
-    of this part finished is kept."""
+    """Writes the episodes of a part as logs.
+
+    The output folder was empty, or it is continued or replaced. Logs that an earlier attempt at this part has finished
+    are not written again.
+    """
     command = command if command.force else replace(command, resume=True)
     return [command.log(source, command.target(source)) for source in part.sources()]
 

@@ -79,6 +79,7 @@ class Demo:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Simulates the episode, then writes its metrics, a picture and the videos."""
         from h3data.metrics import measure_many
 
         if self.steps < 1:

@@ -1,5 +1,7 @@
-"""``h3data evaluate``: every robot, in rearrangement with every partner, over the same episodes, and the paper's numbers
-beside."""
+"""``h3data evaluate``: compares policies in the same episodes, with the paper's numbers for comparison.
+
+In rearrangement every robot policy plays with every partner.
+"""
 
 from __future__ import annotations
 
@@ -103,6 +105,7 @@ class Evaluate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Plays all episodes and returns the table of metrics."""
         is_skill = self.task == "skill"
         if is_skill and self.robot is not None:
             raise InputError(

@@ -84,6 +84,7 @@ class Export:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the recordings in the other format and returns the files."""
         form = export_format(self.to)
         if self.light:
             log.warning("--light of h3data export is deprecated and will be removed. Use --person-detail low.")

@@ -58,8 +58,8 @@ from h3data_pipelines.jobs.episodes import (
     with_skills,
 )
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
-from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
-from h3data_pipelines.jobs.running import Filmed, Filming, film_jobs
+from h3data_pipelines.jobs.generated import Generated, WrittenDataset, first_played, require_same_options, whose
+from h3data_pipelines.jobs.running import RenderedVideo, VideoJob, film_jobs
 
 if TYPE_CHECKING:
     from h3data.recording import DatasetWriter
@@ -174,6 +174,7 @@ class Generate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Simulates the episodes and returns their number and the dataset's size."""
         from h3data.metrics import measure_many
         from h3data.recording import Dataset, DatasetWriter
 
@@ -207,7 +208,7 @@ class Generate:
                 done = len(writer)
                 self._simulate(jobs[done:], writer, executor)
         write_commands(out, [command_line("generate", self)])
-        written = ReadBack(
+        written = WrittenDataset(
             Dataset(out), out / "mcap" if self.mcap else None, share_in=out if self.share_scenes else None
         )
         table = measure_many(written)
@@ -267,10 +268,10 @@ class Generate:
             raise InputError(
                 f"The videos of {self.out} are in {light} light, as --light {light} makes them.", code="H3-OPTION-040"
             )
-        waiting: list[Filmed] = []
+        waiting: list[RenderedVideo] = []
         uncommitted, failures = 0, 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
-        filming = Filming(
+        filming = VideoJob(
             self.camera, threads=executor.threads, people=self.people, light=self.light, backend=self.backend
         )
         with bar, closing(film_jobs(jobs, filming=filming, executor=executor)) as results:

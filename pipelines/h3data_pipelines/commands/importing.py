@@ -43,6 +43,7 @@ class Import:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Converts the files and returns what was imported and what could not be."""
         result = import_files(
             self.paths,
             self.out,

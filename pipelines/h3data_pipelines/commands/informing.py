@@ -46,6 +46,7 @@ class Info:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns a description of each path."""
         if not self.paths:
             raise InputError("Expected at least one recording (.mcap), dataset or episode file.", code="H3-OPTION-043")
         described = [part for path in map(place, self.paths) for part in _described(path)]

@@ -51,6 +51,7 @@ class ReplayCommand:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Verifies the recording, or writes its continuation or counterfactual."""
         continues = self.resume_from is not None or self.counterfactual
         if self.verify == continues:
             raise InputError(

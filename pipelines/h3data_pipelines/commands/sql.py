@@ -85,6 +85,7 @@ class Sql:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Runs the query and returns its rows."""
         from h3data.recording import Dataset, open_recording
         from h3data.recording.finding import find_sources
 

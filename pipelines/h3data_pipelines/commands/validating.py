@@ -30,11 +30,10 @@ _SHOWN = 4
 
 @dataclass(frozen=True)
 class Validate:
-    """Check recordings: schema, time, values, unit quaternions, hash chain, jumps, penetrations, sliding feet, missing assets,
-    videos.
+    """Check recordings for errors; exits with code 1 if there are any.
 
-    An error means that the recording is wrong, a warning that something about it is unusual. Exit code 1 if a recording has
-    errors.
+    The checks cover schema, time, values, unit quaternions, the hash chain, jumps, penetrations, sliding feet, missing
+    assets and videos. An error means that the recording is wrong, a warning that something about it is unusual.
 
     Examples:
         h3data validate out/demo/episode.mcap
@@ -57,6 +56,7 @@ class Validate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Checks all episodes, in several processes if asked to, and returns the findings."""
         check_workers(self.executor, self.workers)
         if not self.paths:
             raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")

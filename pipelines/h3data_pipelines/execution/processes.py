@@ -41,6 +41,7 @@ class Processes:
 
     @property
     def threads(self) -> int:
+        """Number of threads that each process may use."""
         return max(core_count() // self.workers, 1)
 
     def run(
@@ -125,8 +126,11 @@ def _ctrl_c_held() -> Iterator[None]:
 
 
 class _Worker:
-    """This process as a worker that leaves at once when its parent closes the pool or dies, in the middle of a shard or
-    between two, but not while it sends a result: the parent would wait for the rest of it forever."""
+    """This process as a worker that exits at once when its parent closes the pool or dies.
+
+    It exits in the middle of a shard or between two shards, but not while it sends a result: the parent would wait for
+    the rest of it forever.
+    """
 
     def __init__(self) -> None:
         self.lock = threading.Lock()

@@ -46,8 +46,12 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def ray_cluster(address: str, workers: int) -> Iterator[RayWorkers]:
-    """The executor ``ray`` (``address`` is empty: the cluster that runs here or that RAY_ADDRESS names, else Ray is started on
-    this machine) or ``ray://host:port`` (a Ray Client server, usually on the cluster's head).
+    """Connects to a Ray cluster for the executors ``ray`` and ``ray://host:port``.
+
+    Args:
+        address: a Ray Client server, usually on the cluster's head. Empty means the cluster that runs here or that
+            RAY_ADDRESS names; otherwise Ray is started on this machine.
+        workers: number of workers.
 
     Raises:
         MissingExtraError: Ray is not installed.

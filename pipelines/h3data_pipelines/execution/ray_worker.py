@@ -33,14 +33,17 @@ class Origin:
 
     @classmethod
     def of_this_process(cls) -> Origin:
+        """Origin that describes this process."""
         packages = " ".join([f"python {platform.python_version()}", *(f"{name} {version(name)}" for name in _DECIDES)])
         return cls(source_digest(), packages, os.getcwd())
 
     def to_json(self) -> str:
+        """JSON of all fields; the inverse of `from_json`."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> Origin:
+        """Origin from the JSON that `to_json` returned."""
         return cls(**json.loads(text))
 
 
@@ -58,8 +61,12 @@ def source_digest() -> str:
 
 
 def carry_out(origin_json: str, payload: bytes) -> tuple[str, Any]:
-    """``("done", pickled result)``, ``("raised", pickled error)``, or ``("refused", why)`` by a worker that is not as the
-    process that asks."""
+    """Works on a shard in a worker.
+
+    Returns:
+        ``("done", pickled result)``, ``("raised", pickled error)``, or ``("refused", reason)`` if the worker's code or
+        packages differ from those of the process that asks.
+    """
     from h3data.progress import QUIET
 
     origin = Origin.from_json(origin_json)

@@ -63,6 +63,7 @@ class Card:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the card, or returns its text with ``--dry-run``."""
         from h3data.recording import Dataset
 
         dataset = Dataset(local(self.dataset))

@@ -47,6 +47,7 @@ class Pull:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Downloads the dataset and returns its number of episodes and its size."""
         from h3data.recording import Dataset
 
         repo, out, api = checked_repo(self.repo), local(self.out), hub_api()

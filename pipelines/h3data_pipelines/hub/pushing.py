@@ -51,6 +51,7 @@ class Push:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Uploads the dataset, with a card if it has none, and returns its address."""
         from h3data.recording import Dataset
 
         dataset, repo = Dataset(local(self.dataset)), checked_repo(self.repo)

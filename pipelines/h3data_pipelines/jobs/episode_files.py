@@ -13,7 +13,7 @@ from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.scene.scene_sets import SceneFile
-from h3data_pipelines.jobs.episodes import Choices, Draw, Job, checked, chosen_count, make_jobs, refuse_beside
+from h3data_pipelines.jobs.episodes import Choices, Job, SampledEpisode, checked, chosen_count, make_jobs, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import is_failed
 from h3data_pipelines.jobs.running import simulate_job
 
@@ -36,7 +36,7 @@ class FileJobs(NamedTuple):
     """What stands in for something missing."""
 
 
-class Lacking(Protocol):
+class MissingEpisodes(Protocol):
     """What was made of an episode file."""
 
     @property
@@ -50,7 +50,7 @@ class Lacking(Protocol):
         ...
 
 
-def notes_on(made: Lacking) -> str:
+def notes_on(made: MissingEpisodes) -> str:
     """Lines on what a file lacks, each after a line break."""
     lines = []
     for word, texts in (("left out", made.left_out), ("warning:", made.warnings)):
@@ -64,19 +64,39 @@ class EpisodeRequest(Protocol):
     """Which episodes a command plays: those of a file, or of scenes."""
 
     @property
-    def episodes_file(self) -> Path | None: ...
+    def episodes_file(self) -> Path | None:
+        """File with the episodes; None if they are sampled in ``scenes``."""
+        ...
+
     @property
-    def scenes(self) -> str: ...
+    def scenes(self) -> str:
+        """Scenes, as the option ``--scenes`` names them."""
+        ...
+
     @property
-    def homes(self) -> int: ...
+    def homes(self) -> int:
+        """Number of homes of a preset."""
+        ...
+
     @property
-    def assets(self) -> Sequence[str | Path]: ...
+    def assets(self) -> Sequence[str | Path]:
+        """Folders and files in which assets are searched."""
+        ...
+
     @property
-    def allow_missing(self) -> bool: ...
+    def allow_missing(self) -> bool:
+        """Whether scenes may lack assets."""
+        ...
+
     @property
-    def episodes(self) -> int | None: ...
+    def episodes(self) -> int | None:
+        """Number of episodes; None for all of a file or set."""
+        ...
+
     @property
-    def seed(self) -> int: ...
+    def seed(self) -> int:
+        """Seed of the first episode."""
+        ...
 
 
 def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: str) -> FileJobs:
@@ -142,7 +162,7 @@ def file_jobs(
         if storage.is_complete(stored):
             refuse_beside("--episodes-file", **given)
         origin = {"file": path.name, "sha256": digest, "episode": i, "episode_id": str(entry.episode_id)}
-        drawn = Draw(i, stored.seed, entry.scene_id, source, origin)
+        drawn = SampledEpisode(i, stored.seed, entry.scene_id, source, origin)
         told = choices.agents is not None or choices.human is not None
         agents = {} if told else {"agents": None}
         jobs.append(choices.job(drawn, spec=choices.spec(rules), stored=stored, **agents))

@@ -59,8 +59,10 @@ class Job:
     """Which episode of which set or file it is; ends up in the recording."""
 
     def to_json(self) -> dict[str, Any]:
-        """Everything that decides the episode, as JSON gives it back; a stored one is known by its ``origin``. Fields that are
-        not set are left out."""
+        """Everything that determines the episode, as JSON types.
+
+        A stored episode is identified by its ``origin``. Fields that are not set are left out.
+        """
         from sim_kinematic.tasks.episode import rules_dict
 
         apart = ("stored", "origin", "task")
@@ -182,7 +184,7 @@ class Choices:
             rules[name] = asked
         return with_options(base, human_walk=self.human_walk, human_speed=self.human_speed, **rules)
 
-    def job(self, drawn: Draw, **more: Any) -> Job:
+    def job(self, drawn: SampledEpisode, **more: Any) -> Job:
         """The job of one sampled episode."""
         given = {"human": self._human(drawn.seed), "agents": self._agents(drawn.seed), **more}
         if "spec" not in given:
@@ -249,7 +251,7 @@ def with_skills(choices: Choices, skills: str) -> Choices:
 
 
 @dataclass(frozen=True)
-class Draw:
+class SampledEpisode:
     """One episode that is sampled from its seed, whatever the task."""
 
     index: int
@@ -264,9 +266,10 @@ class Draw:
 def check_numbers(
     *, episodes: int | None, homes: int, max_steps: int | None, seed: int, human_speed: float | None
 ) -> None:
-    """
+    """Checks the numbers among the options of a job.
+
     Raises:
-        InputError: a number cannot be; the message names its option.
+        InputError: a number is out of range; the message names its option.
     """
     for name, value, least in (
         ("--episodes", episodes, 1), ("--homes", homes, 1), ("--max-steps", max_steps, 1), ("--seed", seed, 0),
@@ -330,7 +333,7 @@ class SampledJobs(Sequence[Job]):
             return SampledJobs(self._choices, self._places, self._numbers[index], seed=self._seed)
         number = self._numbers[index]
         place = self._places[number % len(self._places)]
-        drawn = Draw(number, episode_seed(self._seed, number), place.name, place.source)
+        drawn = SampledEpisode(number, episode_seed(self._seed, number), place.name, place.source)
         return self._choices.job(drawn, spec=self._spec)
 
     @property
@@ -351,7 +354,7 @@ def most_steps(jobs: Sequence[Job]) -> int:
     return sum(job.spec.max_steps for job in jobs)
 
 
-def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[Draw]:
+def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[SampledEpisode]:
     """The first ``episodes`` episodes of a set; with another ``seed`` than 0, others."""
     for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
         entry, index = scenes.place(i)
@@ -364,7 +367,7 @@ def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterat
             "sha256": scenes.sha256,
         }
         drawn = scenes.episode_seed(entry.id, index, seed=seed)
-        yield Draw(i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin)
+        yield SampledEpisode(i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin)
 
 
 def refuse_beside(option: str, **given: bool) -> None:

@@ -117,8 +117,10 @@ class EvaluationRequest:
 
     @property
     def population(self) -> tuple[str, ...]:
-        """Names in ``zsc``, of which one entry may have several with commas between; learned ones as those of partners are
-        recorded, by the digest of their weights."""
+        """Names of the unseen partners in ``zsc``, one entry of which may hold several with commas between them.
+
+        Learned partners are named with the digest of their weights, as recordings name them.
+        """
         from sim_kinematic.policies.learned import stamped
 
         names = (name.strip() for entry in self.zsc for name in entry.split(","))

@@ -40,10 +40,10 @@ class Evaluation:
 
 
 def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
-    """The metrics of every pair in one episode, and the recordings that are kept. A pair, or an episode, that raises
-    is listed as failed.
+    """Plays one episode with every pair of policies; returns their metrics and the recordings to store.
 
-    Partners with the same plan share a recording, whose ``info["partners"]`` names them.
+    A pair, or an episode, that raises an error is listed as failed. Partners with the same plan share a recording,
+    whose ``info["partners"]`` names them.
     """
     from h3data.metrics import measure
     from sim_kinematic.tasks.runner import simulate
@@ -148,11 +148,13 @@ def files_of(policy: str) -> tuple[str, ...]:
 
 
 def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...]:
-    """Names from a list with commas between, ``all`` among them meaning all there are, ``weights:PATTERN`` all files that fit;
-    learned ones by the digest of their weights.
+    """Names of policies from a list with commas between them.
+
+    ``all`` means all that exist, ``weights:PATTERN`` all files that match; learned policies are named with the digest
+    of their weights.
 
     Raises:
-        InputError: one is unknown, or there is none, or no file fits.
+        InputError: a name is unknown, there is none, or no file matches.
     """
     from sim_kinematic.policies.learned import stamped, weights_hint
 

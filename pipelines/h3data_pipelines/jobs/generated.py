@@ -32,7 +32,7 @@ class Generated:
     """Why episodes of the file could not be played at all."""
 
 
-class ReadBack:
+class WrittenDataset:
     """The episodes of a dataset, read once, with what they add up to. Writes those logs that are wanted and not there."""
 
     def __init__(self, dataset: Dataset, mcap: AnyPath | None, *, share_in: AnyPath | None = None) -> None:

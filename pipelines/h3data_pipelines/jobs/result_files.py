@@ -1,5 +1,7 @@
-"""Evaluations in a folder, whatever is judged: a small file of results for each episode, so that one that was interrupted goes
-on where it was."""
+"""Results of evaluations in a folder, with one small file per episode.
+
+An interrupted evaluation of any kind continues with the first episode that has no file.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ class EpisodeJob(Protocol):
     """An episode in which something is judged."""
 
     @property
-    def base(self) -> Job: ...
+    def base(self) -> Job:
+        """Episode to play."""
+        ...
+
     def to_json(self) -> dict[str, Any]:
         """Everything that decides the results; they have it as ``job``, with the number of the episode in ``episode``."""
         ...
@@ -33,9 +38,10 @@ R = TypeVar("R")
 
 
 def check_options(*, resume: bool, force: bool, workers: int, executor: str) -> None:
-    """
+    """Checks options before an evaluation begins.
+
     Raises:
-        InputError: nobody can work like that, or both ``resume`` and ``force`` were asked for.
+        InputError: the executor or number of workers is invalid, or both ``resume`` and ``force`` are set.
     """
     check_workers(executor, workers)
     if force and resume:

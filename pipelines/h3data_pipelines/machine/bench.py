@@ -88,6 +88,7 @@ class Bench:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Runs the benchmark and returns steps per second for each setting, with the paper's numbers."""
         cells = self.cells()
         cores = self.processes()
         if self.backend == "gpu":
@@ -176,6 +177,7 @@ class Pool:
         return self._executors[count]
 
     def close(self) -> None:
+        """Stops all processes."""
         for executor in self._executors.values():
             executor.shutdown(cancel_futures=True)
 

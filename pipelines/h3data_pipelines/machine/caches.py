@@ -36,9 +36,11 @@ class Cache:
 
     @property
     def bytes(self) -> int:
+        """Size of all files of the cache."""
         return sum(path.stat().st_size for path in self.files if path.exists())
 
     def row(self) -> dict[str, Any]:
+        """Contents, size and folder of the cache, for JSON."""
         folder = None if self.folder is None else str(self.folder)
         return {"holds": self.holds, "bytes": self.bytes, "files": len(self.files), "folder": folder}
 
@@ -83,6 +85,7 @@ class CacheList:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns a table of the caches."""
         caches = find_caches()
         return Outcome(text="\n".join(cache_lines(caches)), data={cache.name: cache.row() for cache in caches})
 
@@ -101,6 +104,7 @@ class CacheClear:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Deletes the caches and returns how many bytes became free."""
         for name in self.names:
             if name not in KINDS:
                 raise InputError(f"Unknown cache {name!r}.{suggest(name, KINDS)}", code="H3-MACHINE-011")

@@ -40,6 +40,7 @@ class Docs:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns the list of pages, or the text of one."""
         pages = _pages()
         if not self.name:
             titles = {name: _title(path) for name, path in pages.items()}

@@ -39,6 +39,7 @@ class Warmup:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Compiles the kernels in parallel and returns how many there are and how long it took."""
         start, parts, files, came, compiled = time.perf_counter(), {}, {}, {}, 0
         _say(f"Compiling kernels on {counted(core_count(), 'core')}: about half a minute on two, once.\n")
         with ThreadPoolExecutor(core_count()) as pool:

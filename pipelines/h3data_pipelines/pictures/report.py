@@ -85,6 +85,7 @@ class ReportCommand:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the report, and its tables as Markdown and LaTeX if asked to."""
         from h3data.metrics import StudyModel
         from h3data_viewers.html_report.report import replay_folder, write_report
         from h3data_viewers.html_report.report_reading import lost_part

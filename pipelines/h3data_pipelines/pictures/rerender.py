@@ -107,6 +107,7 @@ class Rerender:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Renders all recordings, in several processes if asked to, and returns the files."""
         parse_outputs(self.outputs)
         parse_size(self.size)
         local(self.out)

@@ -1,5 +1,7 @@
-"""``h3data view``: one recording, or two side by side, as a Rerun file with a ready-made layout; as an HTML file that plays
-from disk; or as a strip of pictures."""
+"""``h3data view``: a recording as a Rerun file, as an HTML file that plays from disk, or as a strip of pictures.
+
+A Rerun file has a layout and may show two recordings side by side.
+"""
 
 from __future__ import annotations
 
@@ -77,6 +79,7 @@ class View:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the file whose ending names its format."""
         form = ".rrd" if self.out is None else self.out.suffix.lower()
         if form not in (".rrd", ".html", *PICTURES):
             raise InputError(

@@ -1,5 +1,8 @@
-"""``h3data train``: learns social navigation from pictures, on a GPU or, in small, on a CPU, the skills of a robot, and
-rearrangement beside populations of partners, on CPU cores or in worlds on a device."""
+"""``h3data train``: trains policies of social navigation, a robot's skills, and rearrangement.
+
+Social navigation and skills are learned from pictures, on a GPU or on a small scale on a CPU; rearrangement is learned
+with populations of partners, on CPU cores or in batched worlds on a device.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,9 @@ from h3data.terminal import counted
 from h3data_training.commands.folders import run_folder
 
 if TYPE_CHECKING:
-    from h3data_training.run import Result
+    from h3data_training.run import RunResult
     from h3data_training.settings import Settings
-    from sim_kinematic.policies.pictured import PicturedNetwork
+    from sim_kinematic.policies.visual_policy import VisualPolicy
 
 
 OF_REARRANGE = ("population", "workers", "episodes_file", "without")
@@ -137,6 +140,7 @@ class Train:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Trains the policy and returns where its weights are and how well it does."""
         if self.resume and self.force:
             raise InputError("Expected --resume (go on) or --force (begin anew), got both.", code="H3-TRAIN-009")
         if self.stop_after is not None and not self.stop_after > 0:
@@ -240,13 +244,13 @@ class Train:
         )  # fmt: skip
 
 
-def _first(name: str) -> PicturedNetwork:
+def _first(name: str) -> VisualPolicy:
     """The trained policy of a name."""
     from sim_kinematic.policies.learned import is_learned, network_of
-    from sim_kinematic.policies.pictured import PicturedNetwork
+    from sim_kinematic.policies.visual_policy import VisualPolicy
 
     network = network_of(name) if is_learned(name) else None
-    if not isinstance(network, PicturedNetwork):
+    if not isinstance(network, VisualPolicy):
         raise InputError(
             f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.", code="H3-TRAIN-008"
         )
@@ -255,7 +259,7 @@ def _first(name: str) -> PicturedNetwork:
 
 def _cost(settings: Settings) -> dict[str, int]:
     """Sizes that decide whether a run fits on a machine [bytes]."""
-    from sim_kinematic.policies.pictured import PICTURES
+    from sim_kinematic.policies.visual_policy import PICTURES
 
     s = settings
     pixels = s.picture_size[0] * s.picture_size[1] * sum(PICTURES.get(name, 0) for name in s.observations)
@@ -277,7 +281,7 @@ def _plan(settings: Settings) -> str:
     )
 
 
-def _summary(result: Result, task: str) -> str:
+def _summary(result: RunResult, task: str) -> str:
     from h3data_training.run import figures_of
 
     figures = figures_of(result.last).replace("  ", ", ") if result.last else "no update"

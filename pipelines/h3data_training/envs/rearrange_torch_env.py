@@ -57,27 +57,28 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         graph: bool | None = None,
         compile: bool | None = None,
     ) -> None:
-        """
+        """Samples the episodes, or takes a bank of them, and copies it to the device.
+
         Args:
-            num_envs: W.
-            scenes: As `sim_kinematic.tasks.sources.EpisodeSource`.
-            device: Where all is: ``cuda``, ``cuda:1``, ``cpu``.
-            dtype: Of the state: by default float64 on the CPU, else float32.
-            agents: Who acts: ``robot``, ``human`` or both.
-            partner: The planner that moves the other one (`sim_kinematic.policies.rearrange.PARTNERS`; default ``plan_pop_4``).
-            observations: Names of what `step` shows (`h3data_training.torch.rearrange.observations.OBSERVED`).
-            spec: The rules, with oracle skills; by default `ORACLE_RULES`.
-            interrupts_when_close: Whether agents that act may choose anew in every step while the other is close.
-            episodes: How many are drawn for the bank, or a bank.
-            episodes_seed: The run whose first episodes these are.
-            robot: Name of a built-in robot.
-            human: Name of a built-in body.
-            graph: Whether a step is captured as a CUDA graph; by default on a GPU.
-            compile: Whether its operations are fused (`h3data_training.torch.graph.fused`); by default on a GPU, if Triton is
+            num_envs: number of worlds W.
+            scenes: as for `sim_kinematic.tasks.sources.EpisodeSource`.
+            device: device of all tensors: ``cuda``, ``cuda:1``, ``cpu``.
+            dtype: type of the state: by default float64 on the CPU, else float32.
+            agents: agents that act: ``robot``, ``human`` or both.
+            partner: planner of the other agent (`sim_kinematic.policies.rearrange.PARTNERS`; default ``plan_pop_4``).
+            observations: names of observations (`h3data_training.torch.rearrange.observations.OBSERVED`).
+            spec: rules, with oracle skills; by default `ORACLE_RULES`.
+            interrupts_when_close: whether acting agents may choose again at every step while the other agent is close.
+            episodes: number of episodes in the bank, or a bank.
+            episodes_seed: seed of the run whose first episodes these are.
+            robot: name of a built-in robot.
+            human: name of a built-in body.
+            graph: whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: whether its operations are fused (`h3data_training.torch.graph.fused`); by default on a GPU, if Triton is
                 installed.
 
         Raises:
-            InputError: an argument is none that a device knows, or there is no such device.
+            InputError: an argument is not supported on devices, or there is no such device.
         """
         from h3data_training.torch.rearrange.bank import RearrangeBank
         from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES
@@ -117,14 +118,18 @@ class RearrangeTorchEnv(TorchEnv[Play]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def step(self, actions: Tensor | Mapping[str, Tensor]) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
-        """Move all worlds by 1/30 s, or begin their next episode: observations, rewards [W], terminated [W], truncated [W],
-        info.
+        """Moves all worlds by 1/30 s; worlds whose episode is over begin the next one.
 
-        ``actions`` are numbers of choices, int64 [W], or by agent. Those of agents that are busy have no effect; -1 goes on
-        with what an agent is at, or waits. Larger ones count as the last choice: finding out would have to wait for the device.
+        Args:
+            actions: numbers of choices, int64 [W], or a mapping of them by agent. Those of busy agents have no effect; -1
+                continues what an agent is doing, or waits. Numbers that are too large count as the last choice: checking them
+                would have to wait for the device.
+
+        Returns:
+            Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
-            InputError: the actions have another shape or are not whole numbers, or no episode has begun.
+            InputError: the actions have another shape or are not integers, or no episode has begun.
         """
         self._require_begun()
         given = actions if isinstance(actions, Mapping) else {self.agents[0]: actions}
@@ -145,8 +150,10 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             return self._stepped()
 
     def info(self) -> Tensors:
-        """What is known beyond the observations, [W, ...] each; ``episode`` is a number in the bank. With two agents what each
-        has of its own begins with ``robot_`` or ``human_``."""
+        """Facts beyond the observations, [W, ...] each; ``episode`` is a number in the bank.
+
+        With two agents, the entries of each agent begin with ``robot_`` or ``human_``.
+        """
         return {name: tensor.clone() for name, tensor in self._told.items()}
 
     # --- parts --------------------------------------------------------------------------------------------------------

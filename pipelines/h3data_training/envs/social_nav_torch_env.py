@@ -85,29 +85,30 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         graph: bool | None = None,
         compile: bool | None = None,
     ) -> None:
-        """
+        """Samples the episodes, or takes a bank of them, and copies it to the device.
+
         Args:
-            num_envs: W.
-            scenes: As `sim_kinematic.tasks.sources.EpisodeSource`.
-            device: Where all is: ``cuda``, ``cuda:1``, ``cpu``.
-            dtype: Of the state: by default float64 on the CPU, else float32.
-            observations: Names of what `step` shows.
-            spec: The rules; by default those of the paper's training.
-            reward: ``paper``; the other one needs the CPU.
-            end_on_success: Whether having followed long enough terminates the episode too.
-            depth_size: Width and height of pictures [pixels]; None is that of the robot's camera.
-            light: Light in ``arm_rgb``: ``flat``, the only one that a device has. None is flat too, with a warning, since
+            num_envs: number of worlds W.
+            scenes: as for `sim_kinematic.tasks.sources.EpisodeSource`.
+            device: device of all tensors: ``cuda``, ``cuda:1``, ``cpu``.
+            dtype: type of the state: by default float64 on the CPU, else float32.
+            observations: names of observations.
+            spec: rules; by default those of the paper's training.
+            reward: ``paper``; the other profile needs the CPU.
+            end_on_success: whether an episode also ends when the robot has followed long enough.
+            depth_size: width and height of pictures [px]; None is that of the robot's camera.
+            light: light in ``arm_rgb``: ``flat``, the only one on devices. None means flat too, with a warning, since
                 environments on the CPU have baked light.
-            episodes: How many are drawn for the bank, or a bank.
-            episodes_seed: The run whose first episodes these are.
-            robot: Name of a built-in robot.
-            human: Name of a built-in body.
-            graph: Whether a step is captured as a CUDA graph; by default on a GPU.
-            compile: Whether its operations are fused (`h3data_training.torch.graph.fused`), which makes it ten times faster and
-                the first reset half a minute longer; by default on a GPU, if Triton is installed.
+            episodes: number of episodes in the bank, or a bank.
+            episodes_seed: seed of the run whose first episodes these are.
+            robot: name of a built-in robot.
+            human: name of a built-in body.
+            graph: whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: whether its operations are fused (`h3data_training.torch.graph.fused`), which makes steps ten times faster
+                and the first reset half a minute longer; by default on a GPU, if Triton is installed.
 
         Raises:
-            InputError: an argument is none that a device knows, or there is no such device.
+            InputError: an argument is not supported on devices, or there is no such device.
         """
         from h3data_training.torch.episodes import EpisodeBank
         from sim_kinematic.tasks.social_nav import TRAINING
@@ -145,10 +146,14 @@ class SocialNavTorchEnv(TorchEnv[Play]):
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def step(self, actions: Tensor) -> tuple[Tensors, Tensor, Tensor, Tensor, Tensors]:
-        """Move all worlds by ``actions`` [W, 2], forward and left turn in -1..1 of the limits (they are clipped), or begin
-        their next episode: observations, rewards [W], terminated [W], truncated [W], info.
+        """Moves all worlds by 1/30 s; worlds whose episode is over begin the next one.
 
-        A number that is not finite counts as 0: finding out would have to wait for the device.
+        Args:
+            actions: forward velocity and left turn [W, 2] in -1..1 of the limits, clipped. Numbers that are not finite count as
+                0: checking them would have to wait for the device.
+
+        Returns:
+            Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
             InputError: the actions have another shape, or no episode has begun.

@@ -197,12 +197,11 @@ def default_workers() -> int:
 
 
 def bank_of(settings: PopulationSettings, file: Path, *, workers: int = 1) -> RearrangeBank:
-    """The episodes of a file as worlds on a device play them, paths included; where there is none they are drawn, and it is
-    written.
+    """Loads the episodes of a file, paths included, for worlds on a device; samples and stores them if there is no file.
 
     Raises:
-        FormatError: it is none, or damaged.
-        InputError: it was drawn by other settings.
+        FormatError: the file is damaged or of another kind.
+        InputError: its episodes were sampled with other settings.
         SceneError: a home has no room for an episode.
     """
     from h3data_training.torch.rearrange.bank import RearrangeBank

@@ -141,8 +141,11 @@ class PopulationSettings:
         return (ROBOT, *self.partners) if self.population in LEARNED else (ROBOT,)
 
     def minibatch_of(self, learner: str) -> int:
-        """Chunks of a minibatch of a learner. Each of P partners plays in one of P episodes: theirs are smaller by as much, so
-        that all take as many gradient steps in an update, but no smaller than `LEAST_CHUNKS`."""
+        """Number of chunks in a minibatch of one of the learning policies.
+
+        Each of P partners plays in one of P episodes. Their minibatches are smaller by this factor, so that all
+        policies make the same number of gradient steps in an update, but not smaller than `LEAST_CHUNKS`.
+        """
         if learner == ROBOT:
             return self.chunks_per_minibatch
         least = min(self.chunks_per_minibatch, LEAST_CHUNKS)

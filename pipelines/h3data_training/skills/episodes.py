@@ -34,14 +34,16 @@ DECIDING = ("scenes", "skill", "episodes_per_home", "starts", "path_m", "robot",
 def make_skill_bank(
     settings: SkillSettings, *, seed: int, workers: int | None = None, file: Path | None = None
 ) -> SkillBank:
-    """The starts of a run, in as many episodes of rearrangement in each home. Call it before CUDA begins: the processes are
-    forked.
+    """Makes the starts of a run, from the same number of episodes of rearrangement in each home.
+
+    Call it before CUDA is initialised, since the processes are forked.
 
     Args:
-        settings: Homes, bodies and how many.
-        seed: Starts follow from it and from the number of their home.
-        workers: Processes; None is one for each core. 1 makes them here.
-        file: Where starts are kept: read if it holds those of these settings, so that only the homes are made; else written.
+        settings: homes, bodies and numbers.
+        seed: starts follow from it and from the number of their home.
+        workers: number of processes; None is one for each core, 1 uses this process.
+        file: file of starts. It is read if it holds those of these settings, so that only the homes are made; otherwise it
+            is written.
 
     Raises:
         InputError: there are no such homes.

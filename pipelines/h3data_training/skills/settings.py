@@ -8,7 +8,7 @@ from typing import Any
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data_training.settings import Settings
-from sim_kinematic.policies.pictured import BASE_ACTIONS, OF_SKILLS
+from sim_kinematic.policies.visual_policy import BASE_ACTIONS, OF_SKILLS
 from sim_kinematic.tasks.rearrange.skill_starts import SKILL_NAMES, Skill, check_skill
 
 OF_THE_BASE = ("target_gps_compass", "way", "range_scan", "egomotion")
@@ -56,22 +56,27 @@ class SkillSettings(Settings):
 
     @property
     def task(self) -> str:
+        """Name of the task in the policy file."""
         return f"skill_{self.skill}"
 
     @property
     def pictures(self) -> tuple[str, ...]:
+        """Names of the pictures that the policy sees: the depth of the arm's camera."""
         return ("arm_depth",)
 
     @property
     def told(self) -> tuple[str, ...]:
+        """Names of the other observations of the policy."""
         return OF_SKILLS
 
     @property
     def critic(self) -> tuple[str, ...]:
+        """Names of the observations of the critic."""
         return OF_THE_BASE if self.skill == "nav" else OF_THE_ARM
 
     @property
     def first_action(self) -> tuple[float, ...]:
+        """Action before the first decision of an episode: no motion, and the grip that the skill begins with."""
         still = (0.0,) * BASE_ACTIONS
         return (
             still
@@ -84,6 +89,7 @@ class SkillSettings(Settings):
         return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
 
     def as_dict(self) -> dict[str, Any]:
+        """Settings by name, without those that skills do not use."""
         return {name: value for name, value in super().as_dict().items() if name not in UNUSED}
 
 

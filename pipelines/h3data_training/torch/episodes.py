@@ -1,5 +1,8 @@
-"""A bank of drawn episodes of social navigation: what needs searching (starts clear of furniture, shortest paths between
-random goals) is done once on the host, so that steps on a device only look it up."""
+"""Bank of sampled episodes of social navigation.
+
+Everything that needs a search (starts clear of furniture, shortest paths between random goals) is computed once on the
+host, so that steps on a device only look it up.
+"""
 
 from __future__ import annotations
 

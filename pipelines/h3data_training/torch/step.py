@@ -34,15 +34,24 @@ class Floor(Protocol):
     """The parts of a `h3data.scene.FreeSpace` that motion on a device reads."""
 
     @property
-    def sdf(self) -> NDArray[np.float32]: ...
+    def sdf(self) -> NDArray[np.float32]:
+        """Signed distances of the floor's grid [m], negative in obstacles."""
+        ...
+
     @property
-    def origin(self) -> NDArray[np.float64]: ...
+    def origin(self) -> NDArray[np.float64]:
+        """Position (x, z) of the grid [m]."""
+        ...
+
     @property
-    def cell_m(self) -> float: ...
+    def cell_m(self) -> float:
+        """Size of the grid's cells [m]."""
+        ...
 
 
 def refuse_stairs(floors: Iterable[FreeSpace], *, home: str = "them") -> None:
-    """
+    """Checks that floors have no stairs, which devices do not support.
+
     Raises:
         InputError: a floor has stairs; the message says to leave the ``home`` out.
     """
@@ -121,8 +130,10 @@ class Sample(NamedTuple):
 
 
 def sample_sdf(grids: Grids, xz: Tensor) -> Sample:
-    """Signed distance and gradient, bilinear; off the grid the border value minus the way to it
-    (`h3data.scene.freespace._sdf`)."""
+    """Signed distance and its gradient at points, bilinear.
+
+    Outside of the grid it is the value at the border minus the distance to it (`h3data.scene.freespace._sdf`).
+    """
     f = torch.addcmul(grids.shift, grids.scale, xz)
     c = torch.clamp(f, grids.zero, grids.top)
     low = torch.minimum(c.floor(), grids.last)

@@ -105,11 +105,13 @@ STAND = PersonCommand()
 
 
 def action_of(command: Any, objects: Objects, agent: int) -> Action:
-    """The `Action` by which a person follows a command: a `PersonCommand`, one of its skills, a pair (forward, turn), or
-    anything with ``forward`` and ``turn``.
+    """Converts a command for a person into the `Action` that carries it out.
+
+    The command is a `PersonCommand`, one of the person's skills, a pair (forward, turn), or any object with attributes
+    ``forward`` and ``turn``.
 
     Raises:
-        InputError: it is malformed: unknown object, number out of range or not finite.
+        InputError: the command names an unknown object, or a number is out of range or not finite.
     """
     given: Any = PersonCommand(do=command) if isinstance(command, Do) else command
     do = getattr(given, "do", None)

@@ -38,7 +38,7 @@ TALL_M = 1.8
 
 
 @dataclass(eq=False)
-class Openables:
+class ArticulatedParts:
     """The joints of a scene, shared by all actors; positions are in ``objects.state``."""
 
     scene: Scene

@@ -1,5 +1,7 @@
-"""Robots and people with the skills of `sim_kinematic.motion.spec.OracleSpec`. `h3data_training.torch.rearrange` is the same as
-tensors, line by line."""
+"""Robots and people with the oracle skills of `sim_kinematic.motion.spec.OracleSpec`.
+
+`h3data_training.torch.rearrange` is the same with tensors, line by line.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.driving import ARRIVED_M, FACING_RAD, NEARLY_M, STUCK_STEPS
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Skill
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Skill, SkillResult
 from sim_kinematic.motion.gait import move_people
 from sim_kinematic.motion.spec import STEP_S, OracleSpec
 from sim_kinematic.motion.state import NOBODY
@@ -98,9 +100,11 @@ class OracleRobot(RobotActor):
         self.avoids = False
 
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now; empty if it is possible."""
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
+        """Begins a primitive motion, direct control, waiting, or an oracle skill."""
         if action.skill in PRIMITIVES:
             return self._move(*PRIMITIVES[action.skill])
         if action.skill == CONTROL:
@@ -141,8 +145,8 @@ class OracleRobot(RobotActor):
                 is_there(float(np.hypot(*(ways.points[number] - self.xz))))
                 and abs(self.facing_error(errand)) < FACING_RAD
             ):
-                return Ending("done")
-        return Ending("failed", "stuck")
+                return SkillResult("done")
+        return SkillResult("failed", "stuck")
 
     def take(self, k: int) -> None:
         """The object is in the hand, and keeps its direction."""
@@ -166,11 +170,13 @@ class OraclePerson(PersonActor):
         self._carry = np.append(carry_point(self.person.body), (0.0, 0.0, 0.0, 1.0))
 
     def infeasible(self, action: Action) -> str:
+        """Reason why an action is impossible now, empty if it is possible; robots' primitives never are."""
         if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         return _refusal(self, action)
 
     def start(self, action: Action) -> Skill:
+        """Begins waiting or an oracle skill."""
         if action.skill == "wait":
             return self._wait(max(action.steps, 1))
         errand = self.errands.of(action, self.objects.poses)
@@ -195,7 +201,7 @@ class OraclePerson(PersonActor):
             yield
             arrived = number >= ways.corners and np.hypot(*(ways.points[number] - self.xz)) <= within
             if arrived and abs(self.facing_error(errand)) < AIMED_RAD:
-                return Ending("done")
+                return SkillResult("done")
 
     def _turn_by(self, error_rad: float) -> None:
         gait, most = self._gait_here(), self.spec.turn_rad_s * STEP_S
@@ -247,8 +253,8 @@ def _handling(
         why = _hand_over(actor, action, errand) if step == changes else ""
         yield
         if why:
-            return Ending("failed", why)
-    return Ending("done")
+            return SkillResult("failed", why)
+    return SkillResult("done")
 
 
 def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: Errand) -> str:
@@ -276,6 +282,7 @@ class DiscContacts(AgentContactTracker):
         self._radius_m = radius_m
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
+        """False: with oracle skills no agent gives way to another."""
         del me, other
         return False
 

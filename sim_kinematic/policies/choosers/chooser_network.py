@@ -4,7 +4,7 @@
 object``. All objects go through the same weights, with their number as one of the inputs: what is learned about one holds for
 the other, and yet a policy may keep to one of them. `h3data_training.populations.networks` is the same in PyTorch.
 
-The file is that of `sim_kinematic.policies.pictured`: arrays and a card, nothing in it is executed.
+The file is that of `sim_kinematic.policies.visual_policy`: arrays and a card, nothing in it is executed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from sim_kinematic.agents.skills import PRIMITIVES
-from sim_kinematic.policies.pictured import PolicyCard, affine, digest_of
+from sim_kinematic.policies.visual_policy import PolicyCard, affine, digest_of
 
 Floats = NDArray[np.floating]
 KIND = "gru_chooser"
@@ -100,8 +100,9 @@ def input_lengths(agent: str, observations: tuple[str, ...] = OBSERVATIONS) -> t
 def encoded(
     shown: Mapping[str, NDArray[Any]], *, agent: str, objects: int, observations: tuple[str, ...] = OBSERVATIONS
 ) -> tuple[Floats, Floats]:
-    """Inputs of each object [K, F] and the rest [R], float32, from observations by name; the last columns of both tell which
-    choice has been interrupted.
+    """Inputs of the network from observations by name: those of each object [K, F] and the rest [R], float32.
+
+    The last columns of both mark the choice that has been interrupted.
 
     Raises:
         InputError: an observation is missing or has another length.
@@ -136,7 +137,7 @@ def hides(name: str, observations: tuple[str, ...]) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ChooserNetwork:
+class SkillPolicyNetwork:
     """The weights of one policy and what they are for."""
 
     card: PolicyCard
@@ -152,10 +153,12 @@ class ChooserNetwork:
 
     @property
     def task(self) -> str:
+        """Name of the task that the policy was trained for."""
         return self.card.task
 
     @property
     def observations(self) -> tuple[str, ...]:
+        """Names of the observations that the policy needs."""
         return self.card.observations
 
     @property

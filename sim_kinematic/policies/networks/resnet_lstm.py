@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from sim_kinematic.policies.pictured import PICTURES, Floats, PicturedNetwork, PolicyCard, number_count, picture_in
+from sim_kinematic.policies.visual_policy import PICTURES, Floats, PolicyCard, VisualPolicy, number_count, picture_in
 
 KIND = "resnet18_lstm"
 GROUPS = 16
@@ -30,8 +30,10 @@ LEAST_SIDE = 8
 
 
 class _Norm(nn.GroupNorm):
-    """Keeps the precision of its input, with sums of 32 bits: autocast would return 32 bits, which everything up to the next
-    convolution would then read and write."""
+    """Group normalisation that keeps the precision of its input, with sums of 32 bits.
+
+    Autocast would return 32 bits, which everything up to the next convolution would then have to read and write.
+    """
 
     def forward(self, input: Tensor) -> Tensor:
         if input.dtype == torch.float32:
@@ -80,6 +82,7 @@ class ResNet18(nn.Module):
         self.out = nn.Linear(squeezed * places, features)
 
     def forward(self, x: Tensor) -> Tensor:
+        """Features [n, F] of pictures [n, 1 or 3, H, W]."""
         x = F.max_pool2d(F.relu(self.norm(self.first(F.avg_pool2d(x, 2)))), 3, 2, 1)
         for block in self.blocks:
             x = block(x)
@@ -131,23 +134,25 @@ class ResNetLSTM(nn.Module):
 
 
 def pixels_of(picture: Tensor) -> Tensor:
-    """Depth or uint8 colours [n, H, W, planes] as the network is given them, [n, planes, H, W]: half precision, in which a
-    device keeps the pictures of whole rollouts."""
+    """Converts depth or uint8 colours [n, H, W, planes] to the network's input [n, planes, H, W] in half precision.
+
+    Devices store the pictures of whole rollouts in this form.
+    """
     seen = picture.float() if picture.shape[-1] == 1 else picture.float() / 255
     return seen.permute(0, 3, 1, 2).half()
 
 
-class ResNetPolicy(PicturedNetwork):
+class ResNetPolicy(VisualPolicy):
     """The policy in a file whose card names this network, evaluated by PyTorch in one thread."""
 
     kind = KIND
 
     def start(self) -> Floats:
-        """As of `PicturedNetwork`."""
+        """As of `VisualPolicy`."""
         return np.zeros(2 * LAYERS * self.arrays["lstm.weight_hh_l0"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """As of `PicturedNetwork`."""
+        """As of `VisualPolicy`."""
         numbers = torch.as_tensor(self._numbers(shown, last))[None]
         pixels = pixels_of(torch.as_tensor(np.ascontiguousarray(self._picture(shown)))[None]) if self.sees else None
         with torch.no_grad(), one_thread():
@@ -163,14 +168,14 @@ class ResNetPolicy(PicturedNetwork):
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-        """As of `PicturedNetwork`."""
+        """As of `VisualPolicy`."""
         with torch.device("meta"):
             net = _net(card, arrays)
         return {name: tuple(tensor.shape) for name, tensor in net.named_parameters()}
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """As of `PicturedNetwork`."""
+        """As of `VisualPolicy`."""
         return "" if all(LEAST_SIDE <= side <= 1024 for side in size) else f"sides of {LEAST_SIDE} to 1024"
 
 

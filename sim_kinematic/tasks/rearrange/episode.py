@@ -1,8 +1,10 @@
-"""Episodes of social rearrangement: which objects lie where, where they are to go, where both agents start
-(paper section 4.2; spec/habitat.md 2.1, 2.2).
+"""Sampling of episodes of social rearrangement: objects, their goals, and the starts of both agents.
 
-Everything follows from the seed. An episode is drawn again until both a robot and a person can get at every object and
-every goal, and a person alone could do the work in time: so whoever plays it, it is the same episode and can be done.
+The rules follow the paper (section 4.2) and habitat-lab (spec/habitat.md 2.1, 2.2).
+
+Everything follows from the seed. An episode is sampled again until both a robot and a person can reach every object and
+every goal, and a person alone could do the work in time. Whatever policies play it, it is therefore the same episode,
+and it can be solved.
 """
 
 from __future__ import annotations
@@ -23,9 +25,9 @@ from h3data.habitat.episodes.stored_rearrangements import EpisodeObject
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.driven.object_room import object_extent
-from sim_kinematic.agents.opening.doorways import Doorways
-from sim_kinematic.agents.opening.openables import Openables, stands_clear
-from sim_kinematic.agents.opening.reachable import Reachable, is_drawer, openables_at, within_reach
+from sim_kinematic.agents.opening.doorways import RoomDoors
+from sim_kinematic.agents.opening.openables import ArticulatedParts, stands_clear
+from sim_kinematic.agents.opening.reachable import ReachQuery, is_drawer, openables_at, within_reach
 from sim_kinematic.agents.opening.skills import stands_before
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
@@ -231,7 +233,7 @@ def draw_episode(
     """Starts, objects and goals of the episode with this seed."""
     rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
     fits = robot_fits(robot, spec.robot, scene, free)
-    movable, doorways = _movable(scene, spec), Doorways.of(scene, free)
+    movable, doorways = _movable(scene, spec), RoomDoors.of(scene, free)
     surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m or is_drawer(scene, i)]
     if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
         raise SceneError(
@@ -239,7 +241,7 @@ def draw_episode(
             f"furniture; scene {scene.name!r} has {len(movable)} things and {len(surfaces)} receptacles.",
             code="H3-TASK-010",
         )
-    draw = _Draw(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
+    draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
     budget = SPARE * spec.max_steps * STEP_S
     longest = (budget - HANDLING_S * spec.objects) * spec.human.speed_mps
     leg = longest / (2 * spec.objects)
@@ -279,8 +281,8 @@ def seconds_alone(
     targets: tuple[Target, ...],
 ) -> float:
     """Estimated time a person alone takes for all objects [s]; infinite where an object or a goal is out of reach."""
-    doorways = Doorways.of(scene, free)
-    draw = _Draw(doorways.open_scene, doorways.open_floor, spec, robot, human, [], doorways)
+    doorways = RoomDoors.of(scene, free)
+    draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, [], doorways)
     return draw.seconds_alone(starts, targets)
 
 
@@ -299,8 +301,8 @@ def free_spot(
 
     ``taken`` lists positions [3] and radii [m] of other things; the spot is added to it.
     """
-    doorways = Doorways.of(scene, free)
-    draw = _Draw(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
+    doorways = RoomDoors.of(scene, free)
+    draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
     tries = (draw._place(rng, thing, taken, np.zeros(2), np.inf) for _ in range(SPOT_ATTEMPTS))
     return next((spot for spot in tries if spot is not None), None)
 
@@ -322,14 +324,14 @@ def _overlap(point: Array, radius: float, other: NDArray, other_radius: float) -
 
 
 @dataclass(frozen=True, eq=False)
-class _Draw:
+class _EpisodeSampler:
     scene: Scene
     free: FreeSpace
     spec: RearrangeSpec
     robot: Robot
     human: Humanoid
     surfaces: list[tuple[Instance, Receptacle]]
-    doorways: Doorways
+    doorways: RoomDoors
     """Of the home; ``scene`` and ``free`` have all doors open."""
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
     """A person's, by point."""
@@ -346,9 +348,11 @@ class _Draw:
         *,
         spots: int,
     ) -> tuple[Target, ...] | None:
-        """A start and a goal for each of the chosen things, each within ``within_m`` on the floor of the place before; None
-        if ``spots`` tries on each surface give no such places, or if the way past all of them is certainly longer than
-        ``longest_m``."""
+        """A start and a goal for each chosen object, each within ``within_m`` on the floor of the one before.
+
+        Returns None if ``spots`` tries on each surface give no such places, or if a path that visits all of them is
+        certainly longer than ``longest_m``.
+        """
         names = {i.name for i in chosen}
         taken = [
             (i.pose[:3], object_extent(self.scene, i)[0])
@@ -413,7 +417,7 @@ class _Draw:
             return point, f"{instance.name}|{receptacle.name}"
         return None
 
-    def _both_open(self, openables: Openables, joint: int) -> bool:
+    def _both_open(self, openables: ArticulatedParts, joint: int) -> bool:
         """Whether both agents find a stand from which they open a part."""
         if joint not in self._openable:
             self._openable[joint] = all(len(stands) for stands in self._stands_before(openables, joint))
@@ -430,7 +434,7 @@ class _Draw:
             self._openable[joint] = all(all(self.doorways.sides(joint, stands)) for stands in both)
         return self._openable[joint]
 
-    def _stands_before(self, openables: Openables, joint: int) -> tuple[Array, Array]:
+    def _stands_before(self, openables: ArticulatedParts, joint: int) -> tuple[Array, Array]:
         """Stands ``(x, z, heading)`` [N, 3] from which a person and the robot open a part."""
         handle = openables.handles(openables.positions)[joint]
         base, discs = base_of(self.robot, self.spec.robot), AVOIDANCE.person
@@ -452,9 +456,11 @@ class _Draw:
         """Length of the way from ``here`` [2] to each surface [S] [m], about."""
         return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
 
-    def _person_stand(self, place: Reachable, here: Array | None = None) -> tuple[Array | None, float]:
-        """A stand [3] from which the person's hand gets to a place while the body keeps out of the home, the nearest to
-        ``here`` [2], and the way to it [m]; None and infinity where there is none."""
+    def _person_stand(self, place: ReachQuery, here: Array | None = None) -> tuple[Array | None, float]:
+        """Pose [3] from which the person's hand reaches a place without the body touching the home, and the path length to it.
+
+        It is the nearest such pose to ``here`` [2]. Returns None and infinity if there is none.
+        """
         point = place.point
         at = tuple(point.tolist())
         stands = self._stands.get(at)

@@ -12,9 +12,9 @@ from h3data.geometry import Array, pose_inverse, pose_multiply
 from h3data.recording import Recording
 from h3data.recording.records import JOINTS
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.skills import Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import Action, Objects, Skill, SkillResult
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 
 THERE_M = 0.01
 """The person takes an object that lies this near to where it lay in the recording [m]."""
@@ -83,7 +83,7 @@ def _led(recording: Recording, number: int) -> dict[int, list[tuple[int, float]]
     return led
 
 
-def follow_track(play: RearrangePlay, actor: PersonActor, track: KeptTrack, step: int) -> None:
+def follow_track(play: RearrangeRollout, actor: PersonActor, track: KeptTrack, step: int) -> None:
     """From ``step`` on, a person does nothing but follow a track to its end; no policy is asked."""
     if len(play.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
         play.right_of_way = None
@@ -115,7 +115,7 @@ def _following(actor: PersonActor, track: KeptTrack, first: int) -> Skill:
                 actor.openables.move(joint, position)
         _handle(actor.objects, actor.number, track, step)
         yield
-    return Ending("done")
+    return SkillResult("done")
 
 
 def _handle(objects: Objects, number: int, track: KeptTrack, step: int) -> None:

@@ -57,8 +57,11 @@ def _errands(episode: RearrangeEpisode, number: int) -> Errands:
 
 
 def stand_places(episode: RearrangeEpisode, number: int, points: list[Array]) -> list[Array]:
-    """Floor points [S, 2] from which an agent reaches each of some world points [3]: of those with room for its reach the
-    nearest to its start, and the nearest to where it stands for each of the other points."""
+    """Floor points [S, 2] from which an agent reaches the given world points [3].
+
+    For each point they are the nearest to the agent's start and the nearest to the stands of each other point, among
+    those with room for the agent's reach.
+    """
     floor, start = agent_floor(episode, number), episode.starts[number, :2]
     stands = [list(_stands(episode, number, floor, point)) for point in points]
     near = [_nearest(floor, one, start) for one in stands]

@@ -1,5 +1,7 @@
-"""Where a robot begins to navigate, pick or place on its own: starts in episodes of rearrangement, for training and judging its
-learned skills."""
+"""States from which a robot begins to navigate, pick or place, for training and evaluating learned skills.
+
+They are taken from episodes of rearrangement.
+"""
 
 from __future__ import annotations
 

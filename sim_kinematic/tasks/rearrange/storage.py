@@ -60,6 +60,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
     samples_starts: ClassVar[bool] = True
 
     def record(self, episode: Episode) -> StoredRearrangement:
+        """Record of an episode: goals, starts of the first robot and person, objects, rules and scene."""
         assert isinstance(episode, RearrangeEpisode)
         robot, human = episode.pair_starts.places.tolist()
         record = StoredRearrangement(
@@ -84,18 +85,26 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
     def entry(
         self, record: StoredRearrangement, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
     ) -> FileEntry:
+        """Entry of an episode file, in the form of Habitat's rearrangement episodes with our record in its info."""
         return rearrangement_entry(
             record, episode_id=episode_id, scene_id=scene_id, scene_dataset_config=scene_dataset_config
         )
 
     def read(self, entry: FileEntry, *, seed: int) -> StoredRearrangement | None:
+        """Record in an entry of a file, None if it belongs to another task; incomplete ones get the seed for sampling."""
         record = read_rearrangement(entry)
         return record if record is None or self.is_complete(record) else msgspec.structs.replace(record, seed=seed)
 
     def is_complete(self, record: StoredRearrangement) -> bool:
+        """Whether both starts and all places of objects are in the record, so that nothing needs sampling."""
         return record.robot_start is not None and record.human_start is not None and not record.placements
 
     def rules(self, record: StoredRearrangement) -> RearrangeSpec:
+        """Rules in a record; without any, the default rules for its number of objects.
+
+        Raises:
+            InputError: the rules and the goals disagree about the number of objects.
+        """
         count = len(record.goals) + len(record.placements)
         if not record.rules:
             return RearrangeSpec(objects=count)
@@ -107,6 +116,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         return spec
 
     def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
+        """Names of object assets that are not installed, in whose place boxes are used."""
         if not record.objects or not (record.com_frames or isinstance(source, SceneFile)):
             return ()  # a home that is built again has its things
         search = search_in(source, record.object_paths)
@@ -114,6 +124,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         return tuple(found.missing for found in read if found.missing)
 
     def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
+        """Episode of a record in an opened scene; parts that the record lacks are sampled with its seed."""
         spec: RearrangeSpec = place.spec
         count = len(record.goals) + len(record.placements)
         if spec.objects != count:

@@ -1,8 +1,8 @@
-"""Social rearrangement: a robot helps a person to bring objects to their goals (paper section 4.2 and appendix;
-spec/habitat.md 2), or any other agents do.
+"""Social rearrangement: a robot helps a person to bring objects to their goals; other casts can play it too.
 
-Two layers: high-level policies (`sim_kinematic.policies.rearrange`) choose skills (`sim_kinematic.agents.skills`), skills
-move bodies.
+The rules follow the paper (section 4.2 and appendix) and habitat-lab (spec/habitat.md 2). There are two layers:
+high-level policies (`sim_kinematic.policies.rearrange`) choose skills (`sim_kinematic.agents.skills`), and skills move
+bodies.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, commo
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
-from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentChooser
+from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, naming
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
@@ -47,7 +47,7 @@ from sim_kinematic.policies.recorded import (
     recorded_commands,
 )
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
-from sim_kinematic.tasks.play import Play
+from sim_kinematic.tasks.play import Rollout
 from sim_kinematic.tasks.rearrange.episode import (
     PAIR,
     RearrangeEpisode,
@@ -58,7 +58,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     starts_of,
 )
 from sim_kinematic.tasks.rearrange.kept_track import KeptTrack, follow_track
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.play import RearrangeRollout
 from sim_kinematic.tasks.rearrange.storage import RearrangeStorage, goal_record, rules_to_json, target_of
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.resimulation import is_counterfactual
@@ -93,6 +93,7 @@ class Rearrange(Task):
     cut_span: ClassVar[Mapping[str, Any]] = {"outcome": "running", "reason": ""}
 
     def check_roster(self, roster: Sequence[AgentSpec]) -> None:
+        """Raises an `InputError` if a robot of the roster has no arm."""
         for agent in roster:
             if isinstance(agent.body, Robot):
                 agent.body.require_arm()
@@ -101,8 +102,11 @@ class Rearrange(Task):
     def sample(
         self, scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, roster: tuple[AgentSpec, ...]
     ) -> RearrangeEpisode:
-        """Samples an episode for the first robot and the first person of the roster (the default bodies stand in for a
-        missing one), so that objects, goals and the starts of those two are the same whoever else plays it."""
+        """Samples an episode for the first robot and the first person of the roster.
+
+        The default bodies stand in for a missing robot or person, so that objects, goals and the starts of these two
+        are the same whoever else plays the episode.
+        """
         self.check_roster(roster)
         robot, human = pair_of(roster)
         free = common_floor(roster, free)
@@ -121,11 +125,17 @@ class Rearrange(Task):
         )
 
     def storage(self) -> RearrangeStorage:
+        """Storage of episodes with objects and goals, in our files and Habitat's."""
         return RearrangeStorage()
 
     def restore(
         self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]
     ) -> RearrangeEpisode:
+        """Episode of a recording, from the rules, starts and goals in its info.
+
+        Raises:
+            InputError: the recording lacks one of them.
+        """
         info, agents = recording.episode.info, recording.agents
         lacks = [name for name in ("spec", "goals") if name not in info]
         if lacks:
@@ -184,9 +194,11 @@ class Rearrange(Task):
         )
 
     def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
+        """Policies of all agents; ``solo``, which removes the robots beforehand, needs none."""
         return super().assign(episode, {k: v for k, v in (chosen or {}).items() if (k, v) != ("robot", SOLO)})
 
     def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
+        """Learned or planning policy of a name, with the agent's own seed; None for other names."""
         from sim_kinematic.policies.learned import is_learned, stamped
 
         assert isinstance(episode, RearrangeEpisode)
@@ -201,7 +213,7 @@ class Rearrange(Task):
             policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
         else:
             policy, plan = robot_policy(name, objects), ""
-        if isinstance(policy, RecurrentChooser):
+        if isinstance(policy, RecurrentSkillPolicy):
             policy.seed = seed
             if kind == "robot":
                 with naming(name):
@@ -209,6 +221,7 @@ class Rearrange(Task):
         return AssignedPolicy(policy, stamped(name), kind, plan)
 
     def check_policy(self, kind: str, name: str, spec: Any) -> None:
+        """Raises an `InputError` unless the name is a robot policy, a partner or a file of weights that fits the rules."""
         from sim_kinematic.policies.learned import is_learned
         from sim_kinematic.policies.learned_chooser import learned_chooser
 
@@ -218,17 +231,26 @@ class Rearrange(Task):
             super().check_policy(kind, name, spec)
 
     def without_robots(self, episode: Episode, policy: str | None) -> Episode:
+        """Episode with its people only if the policy is ``solo``, otherwise the episode itself."""
         assert isinstance(episode, RearrangeEpisode)
         people = [k for k, kind in enumerate(kinds_of(episode.roster)) if kind == "human"]
         return episode.only(*people) if policy == SOLO else episode
 
-    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> RearrangePlay:
+    def play(
+        self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True
+    ) -> RearrangeRollout:
+        """Run of an episode with the given policies."""
         assert isinstance(episode, RearrangeEpisode)
-        return RearrangePlay(episode, list(policies))
+        return RearrangeRollout(episode, list(policies))
 
     # --- commands from outside ----------------------------------------------------------------------------------------
-    def checked_choice(self, play: Play, number: int, choice: Any) -> Action:
-        assert isinstance(play, RearrangePlay)
+    def checked_choice(self, play: Rollout, number: int, choice: Any) -> Action:
+        """Skill, robot command or person command from outside as an `Action`.
+
+        Raises:
+            InputError: the choice is malformed or names an object or skill that does not exist.
+        """
+        assert isinstance(play, RearrangeRollout)
         body = play.episode.roster[number].body
         if not isinstance(choice, Action):
             choice = _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.objects, number)
@@ -238,9 +260,9 @@ class Rearrange(Task):
             checked_command(choice.command, body)  # type: ignore[arg-type]
         return choice
 
-    def idle_choice(self, play: Play, number: int, last: Any) -> Action:
+    def idle_choice(self, play: Rollout, number: int, last: Any) -> Action:
         """To go on with what is running or with the last velocity, else to stand for a step."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         runner = play.runner(number)
         if runner.skill is not None:
             return runner.action
@@ -248,33 +270,40 @@ class Rearrange(Task):
             return last
         return Action(CONTROL, command=STAND) if isinstance(runner.actor, DrivenPerson) else SHORT_WAIT
 
-    def is_busy(self, play: Play, number: int) -> bool:
-        assert isinstance(play, RearrangePlay)
+    def is_busy(self, play: Rollout, number: int) -> bool:
+        """Whether a skill other than ``wait`` is running."""
+        assert isinstance(play, RearrangeRollout)
         runner = play.runner(number)
         return not runner.is_free and runner.action.skill != "wait"
 
-    def interrupts_running(self, play: Play, number: int, choice: Any) -> bool:
-        assert isinstance(play, RearrangePlay)
+    def interrupts_running(self, play: Rollout, number: int, choice: Any) -> bool:
+        """Whether the choice is a skill that interrupts, and not the one that is running already."""
+        assert isinstance(play, RearrangeRollout)
         return interrupts_skill(choice) and choice != play.runner(number).action
 
-    def refusal(self, play: Play, number: int, choice: Any) -> str | None:
-        assert isinstance(play, RearrangePlay)
+    def refusal(self, play: Rollout, number: int, choice: Any) -> str | None:
+        """Reason why a choice is infeasible now, as a sentence; None if it is feasible."""
+        assert isinstance(play, RearrangeRollout)
         actor = play.actors[number]
         why = actor.refusal(choice) if isinstance(actor, DrivenPerson) else actor.infeasible(choice)
         return sentence(why) if why else None
 
     def choice_to_json(self, choice: Any) -> Any:
+        """Skill or command as JSON types, for the recorded raw input."""
         return command_to_json(choice)
 
     def choice_from_json(self, data: Any) -> Any:
+        """Skill or command that `choice_to_json` wrote."""
         return command_from_json(data)
 
-    def last_reward(self, play: Play) -> float:
-        assert isinstance(play, RearrangePlay)
+    def last_reward(self, play: Rollout) -> float:
+        """Reward of the last step."""
+        assert isinstance(play, RearrangeRollout)
         return play.reward
 
     # --- recording ----------------------------------------------------------------------------------------------------
     def bodies(self, episode: Episode, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
+        """Bodies of the recording: those of the scene, with the objects to bring marked as moving and at their starts."""
         assert isinstance(episode, RearrangeEpisode)
         moving = {target.name: k for k, target in enumerate(episode.targets)}
         return tuple(
@@ -285,11 +314,13 @@ class Rearrange(Task):
         )
 
     def recorded_agents(self, episode: Episode, agents: tuple[Agent, ...]) -> tuple[Agent, ...]:
+        """Agents of the recording; in scenes with doors or drawers their skills include opening and closing."""
         if not episode.scene.articulations:
             return agents
         return tuple(replace(agent, skill_names=ALL_SKILLS) for agent in agents)
 
     def instruction(self, episode: Episode) -> str:
+        """Instruction of the episode file, or one sentence that names each object and its goal."""
         assert isinstance(episode, RearrangeEpisode)
         if episode.wording:
             return episode.wording
@@ -297,6 +328,7 @@ class Rearrange(Task):
         return " and ".join(errands)
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Policies, rules, starts, objects and goals for the recording's info."""
         assert isinstance(episode, RearrangeEpisode)
         return {
             **self.run_info(episode, policies),
@@ -309,6 +341,7 @@ class Rearrange(Task):
         }
 
     def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Names of the robots' policy, of the partners, of their plans and of their population."""
         partner = ",".join(p.name for p in policies if p.kind == "human")
         return {
             "policy": _robots_policy(policies),
@@ -318,9 +351,11 @@ class Rearrange(Task):
         }
 
     def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
+        """Names of the robots' policy and of the partners, which tell apart two continuations of one recording."""
         return [_robots_policy(policies), ",".join(p.name for p in policies if p.kind == "human")]
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identifier derived from scene, agents, seed, policies and rules; for episodes from files also from their places."""
         assert isinstance(episode, RearrangeEpisode)
         digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
         (policy, partner), (robot, human) = self.run_names(policies), episode.pair
@@ -331,23 +366,26 @@ class Rearrange(Task):
             what += f":{episode.pair_starts.places.tolist()}:{[goal_record(target) for target in episode.targets]}"
         return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
 
-    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    def hindsight(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         assert isinstance(episode, RearrangeEpisode)
         alone = [policy.plan for policy in policies] == ["both"]
         return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(episode)}
 
     def foresight(self, episode: Episode) -> dict[str, Any]:
+        """Number of steps in which the first person alone would finish, for relative metrics."""
         assert isinstance(episode, RearrangeEpisode)
         return {"solo_steps": solo_steps_of(episode)}
 
     def recall(self, episode: Episode, facts: Mapping[str, Any]) -> None:
+        """Stores the solo steps that another process has computed with `foresight`."""
         if "solo_steps" in facts:
             vars(episode)[_SOLO_STEPS] = int(facts["solo_steps"])
 
     # --- simulating again ---------------------------------------------------------------------------------------------
     def recorded_policy(self, episode: Episode, number: int, name: Any) -> AssignedPolicy:
+        """Policy with a recorded name; an agent that was controlled from outside stands still."""
         assert isinstance(episode, RearrangeEpisode)
         if name == "external":  # whoever that was, they are not here: the agent stands still
             kind = episode.roster[number].kind
@@ -355,9 +393,11 @@ class Rearrange(Task):
         return super().recorded_policy(episode, number, name)
 
     def needed_columns(self, recording: Recording) -> list[str]:
+        """Skill and skill target of every agent."""
         return [f"agent_{k}.{name}" for k in range(len(recording.agents)) for name in ("skill", "skill_target")]
 
     def agents_with_recorded_decisions(self, recording: Recording) -> set[int]:
+        """Numbers of all agents, since every skill that is chosen is recorded."""
         return set(range(len(recording.agents)))
 
     def recorded_policies(
@@ -369,6 +409,7 @@ class Rearrange(Task):
         until: int,
         changed: Sequence[bool] = (),
     ) -> list[AssignedPolicy]:
+        """Policies that repeat the recorded skills of each agent until step ``until``, then continue with ``own``."""
         assert isinstance(episode, RearrangeEpisode)
         if until and not recording.episode.plants_feet and "human" in {agent.kind for agent in recording.agents}:
             raise InputError(
@@ -396,16 +437,17 @@ class Rearrange(Task):
             policies.append(assigned._replace(policy=policy))
         return policies
 
-    def kept_info(self, recording: Recording, episode: Episode, play: Play) -> dict[str, Any]:
+    def kept_info(self, recording: Recording, episode: Episode, play: Rollout) -> dict[str, Any]:
+        """Solo steps of the recording, which a continuation takes over."""
         assert isinstance(episode, RearrangeEpisode)
         solo = recording.episode.info.get("solo_steps")
         return {"solo_steps": solo_steps_of(episode) if solo is None else solo}
 
     def keep_people(
-        self, play: Play, recording: Recording, since: int
+        self, play: Rollout, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
         """People take things and put them down as recorded, except what is not there."""
-        assert isinstance(play, RearrangePlay)
+        assert isinstance(play, RearrangeRollout)
         first = min(since, _track_from(recording))
         tracks = [KeptTrack.of(recording, person.number, play.bodies) for person in play.people]
 
@@ -418,9 +460,11 @@ class Rearrange(Task):
         return {"track_from": first}, keep
 
     def is_kept_column(self, name: str, people: Sequence[int]) -> bool:
+        """Whether a column belongs to a person who keeps the recorded track; what they hold is simulated again."""
         return any(name.startswith(f"agent_{k}.") for k in people) and not name.endswith("grasp_body")
 
     def merged_spans(self, robots: Sequence[SkillSpan], people: Sequence[SkillSpan]) -> tuple[SkillSpan, ...]:
+        """Skills of robots and of people who keep their tracks, by the step in which they end."""
         return tuple(sorted((*robots, *people), key=lambda span: span.end_step))
 
 
@@ -442,8 +486,11 @@ _SOLO_STEPS = "_solo_steps"
 
 
 def solo_steps_of(episode: RearrangeEpisode) -> int:
-    """``L_human``: the steps in which the first person alone brings all objects to their goals, at most ``max_steps``; the
-    first robot, where there are no people. Simulated once and kept with the episode, as long as that is in memory."""
+    """Number of steps in which one person alone brings all objects to their goals, ``L_human`` in the paper.
+
+    It is at most ``max_steps``, and is computed by simulating the first person, or the first robot where there are no
+    people. The episode object caches it.
+    """
     if _SOLO_STEPS not in vars(episode):
         vars(episode)[_SOLO_STEPS] = _simulated_solo_steps(episode)
     return vars(episode)[_SOLO_STEPS]
@@ -454,7 +501,7 @@ def _simulated_solo_steps(episode: RearrangeEpisode) -> int:
     first = kinds.index("human") if "human" in kinds else 0
     alone = episode.only(first)
     plan = AssignedPolicy(planner("both", episode.seed, len(episode.targets)), "both", kinds[first], "both")
-    play = RearrangePlay(alone, [plan])
+    play = RearrangeRollout(alone, [plan])
     run(play)
     return play.step + 1
 

@@ -1,7 +1,9 @@
-"""Rewards of both tasks, step by step for W worlds at once, in two profiles: ``paper`` as published (appendix, social
-navigation and social rearrangement), ``habitat`` as habitat-lab's main branch computes them (spec/habitat.md 1.7, 2.1).
+"""Rewards of both tasks, step by step for W worlds at once, in two profiles.
 
-Over whole recordings the same comes from `h3data.metrics` (profile ``habitat``), whose configuration is used here.
+``paper`` are the published rewards (appendix, social navigation and social rearrangement), ``habitat`` those of
+habitat-lab's main branch (spec/habitat.md 1.7, 2.1).
+
+`h3data.metrics` (profile ``habitat``) computes the same over whole recordings; its configuration is used here.
 """
 
 from __future__ import annotations

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from benchmarks import standoff
 from h3data.recording import Recording
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.skills import ALL_SKILLS, Action, Ending
+from sim_kinematic.agents.skills import ALL_SKILLS, Action, SkillResult
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.stand_offs import Errand
-from sim_kinematic.avoidance.yielding import NO_PATH, Seen, shut_off
+from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, shut_off
 from sim_kinematic.policies.rearrange import Planner
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import simulate
@@ -185,7 +185,7 @@ def test_who_stands_against_whom_they_flee_goes_on_only_from_some_way_off() -> N
 
 
 def test_places_behind_who_stands_in_a_doorway_are_shut_off(rooms: FreeSpace) -> None:
-    stands = Seen(1, np.array([5.25, 2.0]), np.zeros(2), True, False)
+    stands = ObservedAgent(1, np.array([5.25, 2.0]), np.zeros(2), True, False)
     places = np.array([[2.0, 1.0], [9.0, 2.0]])
     assert shut_off(rooms, np.array([4.0, 2.0]), places, [stands]).tolist() == [False, True]
     moves = stands._replace(velocity=np.array([1.0, 0.0]))
@@ -209,7 +209,7 @@ def test_a_planner_comes_back_to_what_others_kept_it_from() -> None:
     )
     for reason, goes_on in (("blocked", True), ("stuck", False)):
         planner = Planner((0,))
-        view.last, view.action = Ending("failed", reason), Action("nav_to_object", 0)
+        view.last, view.action = SkillResult("failed", reason), Action("nav_to_object", 0)
         chosen = [planner.act(view) for _ in range(5)]
         assert (chosen[-1].skill == "nav_to_object") == goes_on
 
@@ -221,9 +221,9 @@ def test_a_planner_does_first_what_nobody_keeps_it_from() -> None:
     planner = Planner((0, 1))
     assert planner.act(view).target == 0
     for target in (1, 0, 1):
-        view.last = Ending("failed", "blocked")
+        view.last = SkillResult("failed", "blocked")
         assert planner.act(view).target == target
-    view.held_by[1], view.last = 1, Ending("failed", "blocked")  # in its hand: it can only wait
+    view.held_by[1], view.last = 1, SkillResult("failed", "blocked")  # in its hand: it can only wait
     assert planner.act(view) == Action("nav_to_goal", 1)
 
 

@@ -28,7 +28,7 @@ from sim_kinematic.policies.social_nav import rollout_expert
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.sensing.table import SENSORS
-from sim_kinematic.tasks.play import WorldPlay
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.registry import BUILT_IN
 from tests.examples import examples
 from tests.sim.steppers import PAIR, Batch
@@ -41,7 +41,7 @@ EVERYTHING = (*SENSORS, "arm_depth", "arm_rgb", *DETECTORS)
 SIZES: dict[str, Any] = {"depth_size": (48, 36), "rgb_size": (32, 20)}
 
 
-def expert(play: WorldPlay, w: int = 0) -> np.ndarray:
+def expert(play: WorldRollout, w: int = 0) -> np.ndarray:
     """What the expert does in one world, float32 [2]."""
     (robot,), (person,) = play.world.state.robots, play.world.state.people
     episode = play.episodes[w]
@@ -51,7 +51,7 @@ def expert(play: WorldPlay, w: int = 0) -> np.ndarray:
     return np.array(rollout_expert(view, play.spec.robot)[:2], np.float32)
 
 
-def ram(play: WorldPlay) -> np.ndarray:
+def ram(play: WorldRollout) -> np.ndarray:
     """Drives at the person until they touch."""
     (robot,), (person,) = play.world.state.robots, play.world.state.people
     view = SocialNavView(play.episodes[0].free, robot.xz[0], float(robot.heading[0]), person.xz[0], 100.0, False)

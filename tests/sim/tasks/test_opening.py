@@ -30,7 +30,7 @@ from sim_kinematic.agents.driven.commands import (
     command_to_json,
 )
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.opening.openables import Openables
+from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.opening.reachable import within_reach
 from sim_kinematic.agents.opening.skills import Leading, why_not
 from sim_kinematic.agents.skills import ALL_SKILLS, Action, Objects
@@ -71,11 +71,11 @@ def recording(episode: RearrangeEpisode) -> Recording:
     return simulate(REARRANGE, alone, {"human": "both"}, info={"solo_steps": 1})
 
 
-def openables_of(scene: Scene, objects: Objects | None = None) -> Openables:
+def openables_of(scene: Scene, objects: Objects | None = None) -> ArticulatedParts:
     joints = joints_of(scene)
     state = WorldState.zeros(1, robots=0, people=0, scene_joints=len(joints))
     state.joint_pos[0] = joints.rest
-    return Openables(scene, objects or Objects((), np.zeros((0, 3)), state), 0.0)
+    return ArticulatedParts(scene, objects or Objects((), np.zeros((0, 3)), state), 0.0)
 
 
 # --- an episode ---------------------------------------------------------------------------------------------------------

@@ -75,9 +75,10 @@ def serving_options(
 
 
 def require_aiohttp(what: str) -> None:
-    """
+    """Checks that the package aiohttp is installed.
+
     Raises:
-        InputError: the package is missing.
+        InputError: it is missing.
     """
     if importlib.util.find_spec("aiohttp") is None:
         raise InputError(f"{what} needs the package aiohttp. Hint: pip install 'h3data[hitl]'", code="H3-PLAY-008")

@@ -1,5 +1,7 @@
-"""A scripted browser: speaks the protocol of h3data docs play over HTTP and a socket, and keeps what the server says. For
-tests, benchmarks and scripted participants of studies; needs no simulator."""
+"""Scripted browser that speaks the protocol of `h3data docs play` over HTTP and a socket.
+
+It stores what the server says, and needs no simulator. Tests, benchmarks and scripted participants of studies use it.
+"""
 
 from __future__ import annotations
 
@@ -173,10 +175,12 @@ class Client:
 
     @property
     def flags(self) -> int:
+        """Flags of the last state message."""
         return self.head[1]
 
     @property
     def step(self) -> int:
+        """Step of the last state message."""
         return self.head[4]
 
     @property

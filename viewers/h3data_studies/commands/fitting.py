@@ -38,6 +38,7 @@ class StudyFit:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Fits the models and returns means and differences."""
         import json
 
         from h3data.metrics import StudyModel, analyse_study, find_profile, measure_files

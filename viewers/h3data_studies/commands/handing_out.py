@@ -60,6 +60,7 @@ class StudyData:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the participant's data to a zip file."""
         from h3data_studies.files import open_store, open_study
         from h3data_studies.orders import RECORDINGS, TUTORIALS
 
@@ -132,6 +133,7 @@ class StudyPay:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes a table of completion codes and bonuses."""
         from h3data_studies.files import key_file, open_store, open_study
         from h3data_studies.flow import COMPLETE
         from h3data_studies.overview import is_bot, played

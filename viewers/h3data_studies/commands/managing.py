@@ -39,6 +39,7 @@ class StudyStatus:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns the number of participants in each state and condition."""
         from h3data_studies.files import open_store, open_study
         from h3data_studies.overview import overview
 
@@ -119,6 +120,7 @@ class StudyForget:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Deletes the participant's data and returns what was deleted."""
         from h3data_studies.files import open_store, open_study
 
         folder, design = open_study(self.study)

@@ -71,6 +71,7 @@ class StudyReport:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Measures the study's recordings and writes the report."""
         from h3data.metrics import StudyModel, analyse_study, find_profile, measure_files
         from h3data_studies.answers import answer_rows, check_rows, form_means
         from h3data_studies.exclusions import exclusions, focus_rows
@@ -158,6 +159,7 @@ class StudyCompare:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Returns a table of both rankings and their agreement."""
         from h3data_studies.exclusions import exclusions
         from h3data_studies.files import open_store, open_study
         from h3data_viewers.html_report.report_data import gather
@@ -325,8 +327,11 @@ _STAMPED = re.compile(r"weights:(?:.*/)?(?P<file>[^/]+)@(?P<digest>[0-9a-f]{12})
 
 
 def _by_policy(episodes: Sequence[ReportEpisode], names: dict[str, str]) -> tuple[ReportEpisode, ...]:
-    """The episodes, their conditions called by the robots' policies, and the same weights alike, whatever their files are
-    called and wherever they lie; ``names`` has the name of each digest that was met before."""
+    """Renames the conditions of episodes to the robots' policies.
+
+    The same weights have the same name, wherever their file lies; ``names`` has the name of each digest that was met
+    before.
+    """
     found = []
     for e in episodes:
         policy = e.policy

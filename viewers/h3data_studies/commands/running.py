@@ -53,6 +53,7 @@ class StudyNew:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Writes the example."""
         import h3data_studies as package
 
         path = claim_file(self.file, force=self.force, suffix=".toml")
@@ -92,6 +93,7 @@ class StudyRun:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        """Serves the study until it is stopped, and returns its recordings."""
         from h3data_studies.files import make_plan, read_design, study_folder
 
         serving = serving_options(
@@ -143,11 +145,12 @@ class StudyRun:
 
 
 def keep_design(folder: Path, design: Design) -> Design:
-    """Keeps the study file's content with what is recorded under it. The formats of ids may change at any time; a study that
-    began before there were any goes on without.
+    """Stores the study file's content next to what is recorded under it.
+
+    The formats of ids may change at any time; a study that began without them continues without.
 
     Returns:
-        What is to be served.
+        The design to serve.
 
     Raises:
         InputError: the folder holds recordings under another content.

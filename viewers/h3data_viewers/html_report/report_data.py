@@ -1,9 +1,9 @@
-"""What a report is made of: every episode read once, measured, and kept as a few kilobytes; runs of episodes that belong
-together.
+"""Data of a report: every episode is read once, measured, and stored in a few kilobytes; episodes are grouped into runs.
 
 What recordings say about themselves (`Episode.info`) decides how they are grouped: ``policy``, ``partner`` (else the
-human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition``. Episodes of participants are
-one run for each condition, whoever played them; for others the condition names the run where no policy does.
+human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition``. Episodes of
+participants are one run for each condition, whoever played them; for others the condition names the run where no policy
+does.
 """
 
 from __future__ import annotations
@@ -63,8 +63,10 @@ class Run:
     """Policies that differ by their training seed alone, whose episodes these are; empty: one policy."""
 
     def means(self, chosen: Sequence[ReportEpisode] | None = None) -> dict[str, Mean]:
-        """The mean of each metric over ``chosen`` episodes of the run (default: all), by name; of several seeds the mean of
-        their means. Empty without episodes."""
+        """Mean of each metric over ``chosen`` episodes of the run (default: all), by name.
+
+        For a run with several seeds it is the mean of their means. Without episodes the result is empty.
+        """
         episodes = self.episodes if chosen is None else tuple(chosen)
         if not episodes:
             return {}
@@ -336,8 +338,11 @@ def _runs(
     profiles: Mapping[tuple[int, str, str], Profile],
     roots: Sequence[Path],
 ) -> tuple[Run, ...]:
-    """One run for each policy. Datasets of a policy with the same episodes or other rules stay apart, named by dataset
-    as well."""
+    """One run for each policy.
+
+    Datasets of one policy are separate runs if they have the same episodes or other rules; the dataset is then part of
+    the run's name.
+    """
     places: dict[tuple[str, str], list[int]] = {}
     for place, task, policy in grouped:
         places.setdefault((task, policy), []).append(place)

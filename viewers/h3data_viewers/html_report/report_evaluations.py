@@ -1,5 +1,7 @@
-"""What ``h3data evaluate`` leaves: results without recordings, a row of metrics for each policy, partner and episode; to which
-population a partner belongs, and which partners ``--zsc`` named."""
+"""Results of ``h3data evaluate``, which have no recordings: a row of metrics for each policy, partner and episode.
+
+They say to which population a partner belongs, and which partners ``--zsc`` named.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,10 @@ def holds_results(root: Path) -> bool:
 
 
 def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
-    """The partners of the zero-shot population that every one of these evaluations was told; empty where they were told none,
-    or not the same, or a path is no evaluation."""
+    """Partners of the zero-shot population that all of these evaluations name.
+
+    The result is empty if they name none, or different ones, or a path is no evaluation.
+    """
     told: set[tuple[str, ...]] = set()
     for root in roots:
         try:

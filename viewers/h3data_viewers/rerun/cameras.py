@@ -45,6 +45,7 @@ class CameraFeed:
 
     @property
     def has_images(self) -> bool:
+        """Whether the camera has a video or stills."""
         return self.video is not None or self.stills is not None
 
 
@@ -71,6 +72,7 @@ def scaled(camera: Camera, factor: float) -> Camera:
 
 
 def camera_entity(camera: Camera) -> str:
+    """Entity path of a camera."""
     return f"world/cameras/{entity_part(camera.name)}"
 
 

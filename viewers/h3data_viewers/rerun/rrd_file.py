@@ -26,7 +26,7 @@ from h3data_viewers.rerun.cameras import CameraFeed, ImageStorage, camera_entity
 from h3data_viewers.rerun.entities import Drawable, PosedScene, entity_part, log_agents, log_rigid, log_skins
 from h3data_viewers.rerun.floor_marks import log_free_space, log_goals
 from h3data_viewers.rerun.layout import LoggedRecording, layout
-from h3data_viewers.rerun.sink import HeldStream, Sink
+from h3data_viewers.rerun.sink import DeferredStream, Sink
 from h3data_viewers.rerun.timeseries import log_events, log_inputs, log_lanes, log_latency, log_scalars
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ def _log(
     labels = LABELS if len(sides) > 1 else ("",)
     longest = max(sides, key=lambda side: len(side.recording))
     _log_properties(stream, sides)
-    held, logged = HeldStream(), []
+    held, logged = DeferredStream(), []
     for side, label, group in zip(sides, labels, feeds, strict=True):
         sink = Sink(held, side.recording.columns["time_ns"], label)
         logged.append(_log_curves(side, sink, group, bounds=side is longest))

@@ -138,8 +138,10 @@ def talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Memb
 
 
 def place_talk(rng: np.random.Generator, style: Style, state: RoomState) -> list[Placed] | None:
-    """Places a free-standing sofa with armchairs; tries more often than for other groups, as large rooms look empty
-    without one."""
+    """Places a free-standing sofa with armchairs.
+
+    It tries more often than other groups do, since large rooms look empty without such a group.
+    """
     for chairs in (2, 2, 2, 1, 1):
         group = place_free(rng, state, talk_group(rng, style, chairs))
         if group:

@@ -88,6 +88,7 @@ class RoomState:
 
     @property
     def interior(self) -> Rect:
+        """Rectangle of the room inside its walls."""
         return self.room.interior
 
     @property
@@ -170,6 +171,7 @@ def front_strip(p: Placed, depth: float) -> Rect:
 
 
 def overlap(a: Rect, b: Rect, slack: float = 1e-6) -> bool:
+    """Whether two rectangles overlap by more than ``slack`` [m]."""
     return a[0] < b[2] - slack and b[0] < a[2] - slack and a[1] < b[3] - slack and b[1] < a[3] - slack
 
 
@@ -307,8 +309,11 @@ def pockets(free: BaseGeometry, wide: BaseGeometry) -> list[BaseGeometry]:
 
 
 def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
-    """Whether the room can be walked with ``extra`` added: for a disc of `PLAN_RADIUS`, one island of free floor connects
-    all doors and comes close enough to all goals, and no gap of ambiguous width is left."""
+    """Whether agents can still walk through the room with ``extra`` furniture added.
+
+    For a disc of `PLAN_RADIUS`, one island of free floor must connect all doors and come close enough to all goals, and
+    no gap of ambiguous width may be left.
+    """
     import shapely
 
     free = _without(state.free, extra)

@@ -172,6 +172,7 @@ class KindBuilder(MeshBuilder):
         self._later = kind_parts, seed, style, scale
 
     def mesh(self) -> Mesh:
+        """Mesh of the model, built at the first call."""
         if self._mesh is None:
             parts, seed, style, scale = self._later
             color = colours_of(np.random.default_rng(seed), style)

@@ -159,8 +159,9 @@ def _upstairs(layout: Layout) -> Layout:
 
 
 def _turned_to_well(layout: Layout, *, high: bool) -> tuple[Layout, tuple[str, float]]:
-    """The plan turned and mirrored so that its best wall for the doorway is at x = width (``high``) or x = 0, and the doorway:
-    (room, middle in z).
+    """Plan turned and mirrored so that its best wall for the doorway is at x = width (``high``) or x = 0.
+
+    Also returns the doorway: (room, middle in z).
 
     Raises:
         SceneError: no wall has room for one.

@@ -129,8 +129,11 @@ def _unseen(m: Measures, body: Cloth, lips: Array) -> NDArray[np.bool_]:
 
 
 def neckline(m: Measures, mesh: Cloth, drop: float, tilt: float, curve: float) -> Array:
-    """Above a neckline [m]: a plane tilted forward through a point ``drop`` of the stature above the neck joint, bent up
-    towards the shoulders by ``curve``."""
+    """Height of vertices above a neckline [m].
+
+    The neckline is a plane tilted forward through a point ``drop`` of the stature above the neck joint, bent up towards
+    the shoulders by ``curve``.
+    """
     off = mesh.vertices - (m.neck_joint + np.array([0, drop * m.stature, 0]))
     return off @ normalized(np.array([0.0, 1.0, tilt])) - curve * off[:, 0] ** 2
 

@@ -1,5 +1,7 @@
-"""One turn of an agent: what it chooses, how it moves, what changes hands. It is `sim_kinematic.agents.oracle.actors`, line by
-line."""
+"""One turn of an agent: its choice, its motion, and what changes hands.
+
+It is `sim_kinematic.agents.oracle.actors`, line by line.
+"""
 
 from __future__ import annotations
 

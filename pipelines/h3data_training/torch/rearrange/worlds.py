@@ -1,9 +1,8 @@
-"""Social rearrangement in W worlds on a device: `sim_kinematic.tasks.rearrange.play` under the rules of
-`sim_kinematic.motion.spec.OracleSpec`.
+"""Social rearrangement in W worlds on a device, under the rules of `sim_kinematic.motion.spec.OracleSpec`.
 
-State, choices and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new episodes
-is one CUDA graph. The same episodes with the same choices are those of the CPU (tests/training/torch/test_rearrange.py): places
-within 1e-9 m in float64, everything else exactly.
+State, choices and results stay on the device and nothing waits for it, so that on a GPU a whole step with its new
+episodes is one CUDA graph. The same episodes with the same choices equal those of `sim_kinematic.tasks.rearrange.play`
+on the CPU (tests/training/torch/test_rearrange.py): places within 1e-9 m in float64, everything else exactly.
 """
 
 from __future__ import annotations
@@ -51,16 +50,17 @@ class RearrangeTensors:
         interrupts: Literal["close", "always", "never"] = "close",
         repeats: bool = True,
     ) -> None:
-        """
+        """Copies a bank of episodes to the device.
+
         Args:
-            bank: The episodes.
-            device: Where all is.
-            dtype: Of the state: float64 on the CPU, else float32.
-            planners: Which of ``robot`` and ``human`` follow plans; the others are told what to do.
-            partner: Whose plans those are (`sim_kinematic.policies.rearrange.PARTNERS`).
-            interrupts: When agents that are told may choose anew before they are free: while the other is ``close``, as in
-                the environments, ``always`` or ``never``.
-            repeats: Whether another episode begins when one is over; else the world stays as it is.
+            bank: the episodes.
+            device: device of all tensors.
+            dtype: type of the state: by default float64 on the CPU, else float32.
+            planners: which of ``robot`` and ``human`` follow plans; the others are controlled from outside.
+            partner: planner whose plans they follow (`sim_kinematic.policies.rearrange.PARTNERS`).
+            interrupts: when agents controlled from outside may choose again before their skill has ended: while the other agent
+                is ``close``, as in the environments, ``always`` or ``never``.
+            repeats: whether another episode begins when one is over; otherwise the world stays as it is.
         """
         self.device = torch.device(device)
         self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
@@ -87,8 +87,11 @@ class RearrangeTensors:
 
     # --- a step -------------------------------------------------------------------------------------------------------
     def step(self, play: Play, robot: Tensor, human: Tensor) -> Play:
-        """All worlds after a step in which the agents choose ``robot`` and ``human``, int64 [W]; those that had ended at the
-        start of their next episode. Choices of planners, and of agents that are busy, have no effect; -1 goes on, or waits."""
+        """State of all worlds after a step in which the agents choose ``robot`` and ``human``, int64 [W].
+
+        Worlds whose episode had ended are at the start of their next one. Choices of planners and of busy agents have
+        no effect; -1 continues the present skill, or waits.
+        """
         if not self._repeats:
             return self._kept(play, robot, human)
         return self._begun(play, self._moved(play, robot, human), play.ended)

@@ -43,7 +43,8 @@ class Arm:
     """The links of a robot that its arm's joints move, and the chain of them from its base to its hand."""
 
     def __init__(self, robot: Robot, device: torch.device | str, dtype: torch.dtype) -> None:
-        """
+        """Copies the kinematics of a robot's arm to the device.
+
         Raises:
             InputError: the robot has no arm.
         """
@@ -99,8 +100,10 @@ class Arm:
         return Hand(link.point + (link.axes * self._at).sum(-1), link.axes)
 
     def frames(self, joints: Tensor, links: Sequence[int]) -> Tensor:
-        """Matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n] and all other
-        joints at rest."""
+        """Matrices [W, L, 3, 4] of some links in the agent root frame, with the arm at joint positions [W, n].
+
+        All other joints are at rest.
+        """
         found = self._followed(joints, self._movable)
         still = self._rest[:, :3].expand(len(joints), -1, 3, 4)
         moved = {link: torch.cat([frame.axes, frame.point[..., None]], -1) for link, frame in found.items()}

@@ -1,5 +1,8 @@
-"""A bank of starts for the skills: what needs searching (things on furniture, places to reach them from, starts clear of
-furniture) is done once on the host, so that steps on a device only look it up."""
+"""Bank of starts for the skills.
+
+Everything that needs a search (objects on furniture, places from which to reach them, starts clear of furniture) is
+computed once on the host, so that steps on a device only look it up.
+"""
 
 from __future__ import annotations
 
@@ -88,8 +91,11 @@ class SkillBank:
         )
 
     def with_near(self, share: float, *, within_m: float = 1.0) -> SkillBank:
-        """The same starts, those within a distance of their stands repeated until they make up a share of all; as it is where
-        there are none, or enough."""
+        """Bank in which starts close to their stands make up a share of all.
+
+        Starts within ``within_m`` of their stands are repeated for that. The bank is unchanged if there are none, or
+        enough.
+        """
         near = np.hypot(*(self.xz - self.stand).T) < within_m
         missing = int(share * (~near).sum() / (1.0 - share)) - int(near.sum())
         if not near.any() or missing <= 0:

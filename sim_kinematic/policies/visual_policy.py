@@ -1,4 +1,4 @@
-"""A recurrent network that sees: pictures and numbers in, a command of a robot out, in a file of plain arrays.
+"""Recurrent network that maps pictures and numbers to commands of a robot, stored in a file of plain arrays.
 
 ``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``, of skills that move
 the arm also its joints and the grip. It is evaluated by one small kernel, in a millisecond: sums in a fixed order give the same
@@ -136,8 +136,8 @@ def digest_of(about: tuple[Any, ...], arrays: Mapping[str, Floats]) -> str:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PicturedNetwork:
-    """The weights of one policy and what they are for."""
+class VisualPolicy:
+    """Weights of one policy with pictures, and the card that describes it."""
 
     card: PolicyCard
     arrays: Mapping[str, Floats]
@@ -152,10 +152,12 @@ class PicturedNetwork:
 
     @property
     def task(self) -> str:
+        """Name of the task that the policy was trained for."""
         return self.card.task
 
     @property
     def observations(self) -> tuple[str, ...]:
+        """Names of the observations that the policy needs."""
         return self.card.observations
 
     @property
@@ -199,8 +201,15 @@ class PicturedNetwork:
         return np.zeros(self.arrays["gru.weight_hh"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """The action [n] and the next state [H] for observations by name, the last action [n] (0 at the start) and the
-        state [H].
+        """Evaluates the policy for one step.
+
+        Args:
+            shown: observations by name.
+            last: last action [n], 0 at the start.
+            state: recurrent state [H].
+
+        Returns:
+            The action [n] and the next state [H].
 
         Raises:
             InputError: an observation is missing or has another shape.
@@ -345,7 +354,7 @@ def picture_length(size: tuple[int, int]) -> int:
     return width * height
 
 
-def _faults(kind: type[PicturedNetwork], card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
+def _faults(kind: type[VisualPolicy], card: PolicyCard, arrays: Mapping[str, Floats]) -> list[str]:
     """Everything that does not fit together, in words."""
     if card.network != kind.kind:
         return [f"unknown network {card.network!r}, expected {kind.kind}"]
@@ -387,22 +396,27 @@ class CardedNetwork(Protocol):
     """A network that is kept in a policy file."""
 
     @property
-    def card(self) -> PolicyCard: ...
+    def card(self) -> PolicyCard:
+        """Description of the policy: its task, observations and training."""
+        ...
+
     @property
-    def arrays(self) -> Mapping[str, Floats]: ...
+    def arrays(self) -> Mapping[str, Floats]:
+        """Weights by name."""
+        ...
 
 
 Kind = TypeVar("Kind", bound=CardedNetwork)
 
 
-def save_pictured(network: CardedNetwork, path: str | Path) -> None:
+def save_policy(network: CardedNetwork, path: str | Path) -> None:
     """Write an npz: ``format``, ``card`` (JSON) and the arrays. The file appears whole or not at all."""
     text = {"format": np.array(FILE_FORMAT), "card": np.array(msgspec.json.encode(network.card).decode())}
     with part_file(path) as part, part.open("wb") as stream:
         np.savez(stream, **text, **network.arrays)  # type: ignore[arg-type]
 
 
-def pictured_from(
+def policy_from(
     data: Mapping[str, NDArray[Any]], path: str | Path, *, kind_of: Callable[[str], Callable[..., Kind]]
 ) -> Kind:
     """The policy in the arrays of a file.
