@@ -66,7 +66,7 @@ class EpisodeRequest(Protocol):
     @property
     def episodes_file(self) -> Path | None: ...
     @property
-    def scenes(self) -> str: ...
+    def scenes(self) -> tuple[str, ...]: ...
     @property
     def homes(self) -> int: ...
     @property
@@ -79,7 +79,7 @@ class EpisodeRequest(Protocol):
     def seed(self) -> int: ...
 
 
-def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: str) -> FileJobs:
+def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: tuple[str, ...]) -> FileJobs:
     """The episodes of ``request``, which cannot name both a file and scenes other than the default ones.
 
     Raises:

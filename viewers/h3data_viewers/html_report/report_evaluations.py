@@ -1,5 +1,5 @@
 """What ``h3data evaluate`` leaves: results without recordings, a row of metrics for each policy, partner and episode; to which
-population a partner belongs, and which partners ``--zsc`` named."""
+population a partner belongs, and which partners ``--unseen-partners`` named."""
 
 from __future__ import annotations
 
