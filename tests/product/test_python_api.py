@@ -219,6 +219,16 @@ def test_open_takes_what_commands_take(generated: Any, tmp_path: Path) -> None:
     assert len(h3data.open(tmp_path)) == 2
     assert h3data.open("small:3", h3data.Scene).name == "home_small_3"
     assert h3data.open("h3-homes/test#0").name == h3data.open("h3-homes/test#test_00").name
+    assert len(h3data.load_dataset(dataset.root)) == len(dataset)
+    assert h3data.load_recording(f"{dataset.root}#2").episode == recording.episode
+    assert h3data.load_scene("small:3").name == "home_small_3"
+    for load, other in (
+        (h3data.load_scene, dataset.root),
+        (h3data.load_recording, "small:3"),
+        (h3data.load_dataset, tmp_path / "a.mcap"),
+    ):
+        with pytest.raises(InputError, match=r"^Expected a (Scene|Recording|Dataset), this is a "):
+            load(other)
     with pytest.raises(InputError, match=re.escape("several scenes. Expected one, such as small:0")):
         h3data.open("small")
     with pytest.raises(InputError, match="Expected a Dataset, this is a Recording"):
@@ -310,10 +320,10 @@ def _leaves(value: Any) -> list[Any]:
 # --- faces of the simulator -------------------------------------------------------------------------------------------
 def test_make_names_every_option_of_every_environment() -> None:
     """`h3data.make` repeats the options of the environments, so that editors, type checkers and the reference know them."""
-    from h3data.api import MakeOptions
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
     from sim_kinematic.envs import make as maker
+    from sim_kinematic.envs.make import MakeOptions
     from sim_kinematic.envs.skill_stepper import SkillStepper
     from sim_kinematic.envs.stepper import Options
     from sim_kinematic.envs.world_stepper import WorldStepper
@@ -322,7 +332,7 @@ def test_make_names_every_option_of_every_environment() -> None:
     def keywords(function: Any) -> set[str]:
         return {p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
-    real = keywords(maker.make) | {field.name for field in fields(Options)}
+    real = keywords(maker.make_env) | {field.name for field in fields(Options)}
     for environment in (WorldStepper, SkillStepper, SocialNavTorchEnv, RearrangeTorchEnv):
         real |= keywords(environment)
     for task in ("social_nav", "rearrange"):
@@ -331,6 +341,23 @@ def test_make_names_every_option_of_every_environment() -> None:
     assert {*MakeOptions.__annotations__, "num_envs", "device", "agents"} == keywords(h3data.make)
     described = re.findall(r"^ +([a-z_]+): [A-Z`]", (inspect.getdoc(h3data.make) or ""), re.MULTILINE)
     assert set(described) == {"task", "scenes", *keywords(h3data.make)}
+
+
+def test_environments_and_sessions_take_objects_instead_of_names() -> None:
+    from sim_kinematic.tasks.wander import Wander
+
+    home, robot = h3data.load_scene("small:3"), load_robot("lift_arm")
+    recording = h3data.simulate(Wander, home, agents={"robot": Still()}, robot=robot, max_steps=3)
+    assert (recording.episode.task, recording.episode.scene, recording.agents[0].model) == (
+        "wander",
+        home.name,
+        "robot/lift_arm",
+    )
+    named = h3data.simulate("wander", [home], roster=[robot, "human"], agents={"robot": Still()}, max_steps=3)
+    assert [agent.model for agent in named.agents] == ["robot/lift_arm", "human/female_0"]
+    env = h3data.make(Wander, [home, "small:1"], robot=robot)
+    assert "lift_arm" in repr(env)
+    assert "2 scenes of home_small_3, small:1" in repr(env)
 
 
 def test_sessions_have_the_signature_of_the_simulator() -> None:
