@@ -18,15 +18,10 @@ from numpy.typing import NDArray
 import h3data
 from h3data.errors import SceneError
 from h3data.geometry import wrap_angle
+from h3data.policies import AgentView, Velocity
 from h3data.recording import Event
-from sim_kinematic.motion.randomness import generator
-from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.views import AgentView
-from sim_kinematic.sensing.sensor import gps_compass
-from sim_kinematic.sensing.table import SENSORS, Sensor
-from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec
-from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.task import Task
+from h3data.sensors import SENSORS, Sensor, gps_compass
+from h3data.tasks import Episode, StepOutcome, Task, TaskSpec, WorldRollout, generator
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 ```python
 import h3data
 
-rec = h3data.open("out/demo/episode.mcap")     # a Recording: who, what, every step
+rec = h3data.load_recording("out/demo/episode.mcap")  # a Recording: who, what, every step
 print(rec)                                     # shapes and names, not data
 state = h3data.Replay(rec).at(step=420)        # where everything was
 image = h3data.render_frame(rec, camera="third_person", step=420)["rgb"]
@@ -24,16 +24,20 @@ from h3data.moved import announce_moves
 announce_moves()
 
 if TYPE_CHECKING:
-    from h3data.api import make, measure, open, render_frame
+    from h3data.api import load_dataset, load_recording, load_scene, measure, open, render_frame
     from h3data.errors import H3DataError
     from h3data.recording import Dataset, Episodes, Recording
     from h3data.replay import Replay
     from h3data.scene import HomeSpec, Scene, build_home
     from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, report, rerender, sync, view
+    from sim_kinematic.envs.make import make
     from sim_kinematic.tasks.sessions import session, simulate
 
 _HOMES = {
-    "make": "h3data.api",
+    "load_dataset": "h3data.api",
+    "load_recording": "h3data.api",
+    "load_scene": "h3data.api",
+    "make": "sim_kinematic.envs.make",
     "open": "h3data.api",
     "render_frame": "h3data.api",
     "session": "sim_kinematic.tasks.sessions",
@@ -74,6 +78,9 @@ __all__ = [
     "export",
     "generate",
     "import_",
+    "load_dataset",
+    "load_recording",
+    "load_scene",
     "make",
     "measure",
     "open",

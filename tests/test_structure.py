@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,9 +32,17 @@ LAYERS = (
     "h3data_pipelines",
 )
 """Packages from the lowest to the highest."""
+FACES = ("h3data.envs", "h3data.policies", "h3data.robots", "h3data.scenes", "h3data.sensors", "h3data.tasks")
+"""What h3data offers to those who extend it, of modules that may move."""
 AGAINST_THE_LAYERS = {
-    "h3data": ["h3data_pipelines.api", "sim_kinematic.tasks.sessions"],
-    "h3data.api": ["sim_kinematic"],
+    "h3data": ["h3data_pipelines.api", "sim_kinematic.envs.make", "sim_kinematic.tasks.sessions"],
+    "h3data.envs": [
+        "sim_kinematic.envs.make",
+        "sim_kinematic.envs.parallel",
+        "sim_kinematic.envs.single",
+        "sim_kinematic.envs.stepper",
+        "sim_kinematic.envs.vector",
+    ],
     "h3data.formats.builtin_formats": [
         "h3data.exporters.csv_tables",
         "h3data.exporters.foxglove.foxglove_file",
@@ -48,24 +57,6 @@ AGAINST_THE_LAYERS = {
     ],
     "h3data.kernels.digests": ["sim_kinematic"],  # whose kernels are ours
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
-    "h3data.moved": [  # nothing is imported: old names and new ones for error messages
-        "h3data_play",
-        "h3data_play.commands.playing",
-        "h3data_play.commands.serving",
-        "h3data_pipelines",
-        "h3data_pipelines.commands",
-        "h3data_studies",
-        "h3data_studies.bots",
-        "h3data_studies.commands",
-        "h3data_training.commands",
-        "h3data_training.envs.rearrange_torch_env",
-        "h3data_training.envs.social_nav_torch_env",
-        "h3data_training.envs.torch_env",
-        "h3data_training.torch",
-        "h3data_viewers",
-        "sim_kinematic",
-        "sim_kinematic.envs",
-    ],
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
     "h3data_play.app": [
@@ -210,6 +201,20 @@ def graph() -> dict[str, list[str]]:
 def test_no_import_circles(graph: dict[str, list[str]]) -> None:
     paths = [" -> ".join(path) for path in circles(graph)]
     assert not paths, "Files import each other; move what they share into a file below both:\n" + "\n".join(paths)
+
+
+def test_public_faces_hold_imports_only_and_are_for_others(graph: dict[str, list[str]]) -> None:
+    inside = [name for name in graph if re.match(r"(h3data|sim_kinematic)(\.|$)", name)]
+    assert {name: faces for name in inside if (faces := {*graph[name]} & {*FACES})} == {}
+    for face in FACES:
+        file = ROOT / face.replace(".", "/")
+        tree = ast.parse(
+            (file / "__init__.py" if file.is_dir() else file.with_suffix(".py")).read_text(encoding="utf-8")
+        )
+        own = [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+        assert [node.name for node in own if node.name != "__getattr__"] == []
+        module = importlib.import_module(face)
+        assert all(getattr(module, name) is not None for name in module.__all__)
 
 
 def test_circles_are_found() -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -49,6 +50,10 @@ BackendOption = Annotated[
     tyro.conf.arg(help="Who draws: cpu; gpu, whose pictures differ in few pixels; or auto, a GPU if there is one."),
 ]
 WalkOption = Literal["paper", "natural"]
+RulesOption = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(name="set", help="Other rules of the task, as NAME=VALUE: --set objects=3 --set near_m=[2.0,1.5]."),
+]
 StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
 MissingFlag = Annotated[
     bool, tyro.conf.arg(help="Leave out objects of a Habitat scene whose files are missing, with a warning.")
@@ -233,6 +238,23 @@ def remove_dataset(root: AnyPath) -> None:
     for name in ("README.md", "card.jpg"):
         if (root / name).is_file():
             (root / name).unlink()
+
+
+def read_rules(texts: Iterable[str]) -> tuple[tuple[str, Any], ...]:
+    """Names and values of a task's rules, from ``NAME=VALUE`` with a value as in JSON or a bare word.
+
+    Raises:
+        InputError: one is written in another way.
+    """
+    rules = []
+    for text in texts:
+        name, sign, value = text.partition("=")
+        if not sign or not name:
+            raise InputError(f"Expected --set NAME=VALUE, got {text!r}.", code="H3-OPTION-075")
+        with suppress(ValueError):
+            value = json.loads(value)
+        rules.append((name, value))
+    return tuple(rules)
 
 
 def check_backend(backend: BackendOption) -> None:

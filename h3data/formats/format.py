@@ -43,7 +43,7 @@ class Format:
     write: Function = None
     """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
     `ExportRequest`; returns an `Exported`."""
-    write_options: tuple[Literal["agent", "assets", "person_detail", "people", "stand_ins", "camera"], ...] = ()
+    write_options: tuple[Literal["agent", "assets", "person_detail", "people", "stand_ins", "cameras"], ...] = ()
     """Options of `h3data export` that apply; the others are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
     """What is written. A dataset is a folder as in h3data docs format, which ``--force`` replaces."""

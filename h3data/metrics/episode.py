@@ -152,7 +152,7 @@ def note_lines(notes: Mapping[str, Iterable[str]]) -> list[str]:
 
 
 def shared_by(info: Mapping[str, Any]) -> tuple[str, ...]:
-    """Partners with the same plan, who share a recording (``info["partners"]`` of ``h3data evaluate --keep``)."""
+    """Partners with the same plan, who share a recording (``info["partners"]`` of ``h3data evaluate --save-recordings``)."""
     partners = info.get("partners")
     return tuple(map(str, partners)) if isinstance(partners, list) else ()
 

@@ -66,7 +66,7 @@ evaluate() { # WALK RUN SEED
     mkdir -p "$out/$1"
     timeout --foreground -k 10 $left python3 -m h3data_pipelines.cli evaluate rearrange --scenes "${SCENES:-h3-homes/test}" \
         --seed "${SEED:-9101}" --episodes "${EPISODES:-50}" $rules --policies "weights:$trained/$2.$3/policy.npz" \
-        --partners "$partners" --zsc "$ten" ${skills:+--skills "$skills"} --workers "$workers" -o "$folder" \
+        --partners "$partners" --unseen-partners "$ten" ${skills:+--skills "$skills"} --workers "$workers" -o "$folder" \
         >"$folder.log" 2>&1 || echo "$1 $2 $3: failed or stopped, see $folder.log"
 }
 export -f evaluate

@@ -1,363 +1,42 @@
-"""Jobs from Python, with the options of the commands: ``h3data.generate``, ``h3data.report``, and others.
+"""Jobs from Python: ``h3data.generate``, ``h3data.report``, and others. Results come back as objects instead of text.
 
-Each function runs the command of its name, so both do the same; results come back as objects instead of text.
+Each is imported at first use, from the module of its command.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
-
-from h3data.bodies.people.rigid_parts import PeopleStyle
-from h3data.commands.command import Command, WalkOption
-from h3data.recording.storage import RemotePath
-from h3data.render.light.sources import LightMode
+import importlib
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from h3data_pipelines.jobs.evaluation_runs import EvaluationResult
-    from h3data_pipelines.jobs.generated import Generated
-    from h3data_pipelines.jobs.imports import ImportResult
-    from h3data_pipelines.jobs.skill_evaluations import SkillEvaluationResult
-    from h3data_pipelines.pictures.rerender import Rendered
-    from h3data_viewers.html_report.report import Report
+    from h3data_pipelines.commands.evaluating import evaluate as evaluate
+    from h3data_pipelines.commands.exporting import export as export
+    from h3data_pipelines.commands.generate import generate as generate
+    from h3data_pipelines.commands.importing import import_ as import_
+    from h3data_pipelines.hub.card import card as card
+    from h3data_pipelines.hub.pulling import pull as pull
+    from h3data_pipelines.hub.pushing import push as push
+    from h3data_pipelines.hub.syncing import sync as sync
+    from h3data_pipelines.pictures.report import report as report
+    from h3data_pipelines.pictures.rerender import rerender as rerender
+    from h3data_pipelines.pictures.viewing import view as view
 
-AnyPath = str | os.PathLike[str]
-
-
-def generate(
-    task: str,
-    out: AnyPath,
-    *,
-    episodes: int | None = None,
-    seed: int = 0,
-    scenes: str = "small",
-    episodes_file: AnyPath | None = None,
-    save_episodes: AnyPath | None = None,
-    assets: Sequence[AnyPath] = (),
-    allow_missing: bool = False,
-    homes: int = 4,
-    policy: str | None = None,
-    partner: str | None = None,
-    skills: str | None = None,
-    agents: str | None = None,
-    robot: str | None = None,
-    human: str | None = None,
-    motion: AnyPath | None = None,
-    human_walk: WalkOption | None = None,
-    human_speed: float | None = None,
-    max_steps: int | None = None,
-    spawn_distance: float | None = None,
-    rule: Sequence[str] = (),
-    camera: Sequence[str] = (),
-    people: PeopleStyle = "skin",
-    light: LightMode = "baked",
-    backend: Literal["auto", "cpu", "gpu"] = "cpu",
-    workers: int = 1,
-    executor: str = "local",
-    mcap: bool = False,
-    share_scenes: bool = False,
-    resume: bool = False,
-    force: bool = False,
-) -> Generated:
-    """Simulates episodes of a task into a dataset; options as of ``h3data generate``.
-
-    With ``workers`` above 1 call it under ``if __name__ == "__main__":``, as Python's own `multiprocessing` asks for.
-
-    Returns:
-        The dataset, the episodes that failed and the metrics.
-
-    Raises:
-        InputError: an option is wrong, or the folder holds something.
-    """
-    from h3data_pipelines.commands.generate import Generate
-
-    return _result(Generate, locals())
+_HOMES = {
+    "card": "h3data_pipelines.hub.card",
+    "evaluate": "h3data_pipelines.commands.evaluating",
+    "export": "h3data_pipelines.commands.exporting",
+    "generate": "h3data_pipelines.commands.generate",
+    "import_": "h3data_pipelines.commands.importing",
+    "pull": "h3data_pipelines.hub.pulling",
+    "push": "h3data_pipelines.hub.pushing",
+    "report": "h3data_pipelines.pictures.report",
+    "rerender": "h3data_pipelines.pictures.rerender",
+    "sync": "h3data_pipelines.hub.syncing",
+    "view": "h3data_pipelines.pictures.viewing",
+}
 
 
-def evaluate(
-    task: str,
-    out: AnyPath,
-    *,
-    policies: str = "all",
-    partners: str = "all",
-    skills: str = "",
-    zsc: Sequence[str] = (),
-    scenes: str = "h3-homes/test",
-    episodes_file: AnyPath | None = None,
-    assets: Sequence[AnyPath] = (),
-    allow_missing: bool = False,
-    episodes: int | None = None,
-    homes: int = 4,
-    seed: int = 0,
-    robot: str | None = None,
-    human: str | None = None,
-    motion: AnyPath | None = None,
-    human_walk: WalkOption | None = None,
-    human_speed: float | None = None,
-    max_steps: int | None = None,
-    light: LightMode | None = None,
-    workers: int = 1,
-    executor: str = "local",
-    keep: bool = False,
-    resume: bool = False,
-    force: bool = False,
-) -> EvaluationResult | SkillEvaluationResult:
-    """Plays policies in the same episodes and measures them; options as of ``h3data evaluate``.
-
-    Returns:
-        The table of policies (and partners) with 95% intervals, and the episodes that failed; of the task ``skill`` that of
-        the skills.
-
-    Raises:
-        InputError: an option is wrong, or the folder holds results with other options.
-    """
-    from h3data_pipelines.commands.evaluating import Evaluate
-
-    return _result(Evaluate, locals())
-
-
-def report(
-    datasets: AnyPath | Sequence[AnyPath],
-    out: AnyPath = Path("report.html"),
-    *,
-    title: str = "",
-    markdown: AnyPath | None = None,
-    latex: AnyPath | None = None,
-    pictures: int = 6,
-    assets: Sequence[AnyPath] = (),
-    people: PeopleStyle = "skin",
-    light: LightMode = "baked",
-    stand_ins: bool = False,
-    replays: bool = False,
-    zsc: Sequence[str] = (),
-    seeds: Sequence[str] = (),
-    study_model: Literal["auto", "poisson", "observation"] = "auto",
-    failed: Literal["leave-out", "limit"] = "leave-out",
-    workers: int = 1,
-    executor: str = "local",
-    force: bool = False,
-) -> Report:
-    """Writes a self-contained HTML report on datasets and recordings; options as of ``h3data report``.
-
-    Returns:
-        The report: its runs, tables, and what could not be measured.
-
-    Raises:
-        InputError: there is nothing to report on, an option is wrong, or a file exists.
-    """
-    from h3data_pipelines.pictures.report import ReportCommand
-
-    return _result(ReportCommand, locals(), several=("datasets",))
-
-
-def import_(
-    paths: AnyPath | Sequence[AnyPath],
-    out: AnyPath,
-    *,
-    assets: Sequence[AnyPath] = (),
-    manifest: AnyPath | None = None,
-    fps: float = 30.0,
-    strict: bool = False,
-    force: bool = False,
-) -> ImportResult:
-    """Turns recordings of other programs into MCAP recordings in the folder ``out``; options as of ``h3data import``.
-
-    Returns:
-        What became of every file.
-
-    Raises:
-        InputError: there is nothing to import.
-        FormatError: the only file is of another kind or damaged.
-    """
-    from h3data_pipelines.commands.importing import Import
-
-    return _result(Import, locals(), several=("paths",))
-
-
-def export(
-    recording: AnyPath,
-    out: AnyPath,
-    *,
-    to: str,
-    agent: str | None = None,
-    assets: Sequence[AnyPath] = (),
-    person_detail: Literal["full", "low"] = "full",
-    light: bool = False,
-    camera: Sequence[str] = (),
-    people: PeopleStyle = "skin",
-    stand_ins: bool = False,
-    backend: Literal["auto", "cpu", "gpu"] = "cpu",
-    force: bool = False,
-) -> Path:
-    """Writes recordings as files of other programs; options as of ``h3data export``.
-
-    Returns:
-        The file or folder.
-
-    Raises:
-        InputError: the format or an option is wrong, or the output exists.
-    """
-    from h3data_pipelines.commands.exporting import Export
-
-    return _result(Export, locals())
-
-
-def rerender(
-    recordings: AnyPath | Sequence[AnyPath],
-    out: AnyPath,
-    *,
-    camera: Sequence[str] = (),
-    people: PeopleStyle = "skin",
-    light: LightMode = "baked",
-    backend: Literal["auto", "cpu", "gpu"] = "cpu",
-    outputs: str = "rgb",
-    assets: Sequence[AnyPath] = (),
-    stand_ins: bool = False,
-    steps: str = "",
-    format: Literal["mp4", "av1", "png", "data"] = "mp4",
-    size: str = "",
-    samples: Literal[1, 4] | None = None,
-    workers: int | None = None,
-    executor: str = "local",
-    force: bool = False,
-) -> Rendered:
-    """Renders recordings from any number of cameras into the folder ``out``; options as of ``h3data rerender``.
-
-    Returns:
-        The video files and folders of images, and which recordings failed.
-
-    Raises:
-        InputError: an option is wrong, a file exists, or no recording can be rendered.
-    """
-    from h3data_pipelines.pictures.rerender import Rerender
-
-    return _result(Rerender, locals(), several=("recordings",))
-
-
-def view(
-    recording: AnyPath,
-    *,
-    compare: AnyPath | None = None,
-    out: AnyPath | None = None,
-    camera: Sequence[str] = (),
-    people: PeopleStyle = "skin",
-    light: LightMode = "baked",
-    assets: Sequence[AnyPath] = (),
-    stand_ins: bool = False,
-    open: bool = False,
-    force: bool = False,
-) -> Path:
-    """Writes a recording as a Rerun file, or as an HTML file that plays in a browser.
-
-    With ``compare`` a Rerun file shows two recordings side by side. Options are those of ``h3data view``.
-
-    Returns:
-        The .rrd or .html file.
-
-    Raises:
-        InputError: an option is wrong, or the file exists.
-    """
-    from h3data_pipelines.pictures.viewing import View
-
-    return _result(View, locals())
-
-
-def card(
-    dataset: AnyPath,
-    *,
-    title: str = "",
-    license: str = "unknown",
-    repo: str = "user/name",
-    force: bool = False,
-) -> Path:
-    """Writes README.md for a dataset; options as of ``h3data card``.
-
-    Returns:
-        The file.
-
-    Raises:
-        InputError: the dataset has one.
-    """
-    from h3data_pipelines.hub.card import Card
-
-    return _result(Card, locals())
-
-
-def push(dataset: AnyPath, repo: str, *, private: bool = False, message: str = "") -> str:
-    """Uploads a dataset to the Hugging Face Hub; options as of ``h3data push``.
-
-    Returns:
-        Its address.
-
-    Raises:
-        MissingExtraError: the extra ``hub`` is not installed.
-        InputError: there is no token, it has no right to write, or the Hub cannot be reached.
-    """
-    from h3data_pipelines.hub.pushing import Push
-
-    return _result(Push, locals())
-
-
-def pull(repo: str, out: AnyPath, *, revision: str = "main", force: bool = False) -> Path:
-    """Downloads a dataset from the Hugging Face Hub; options as of ``h3data pull``.
-
-    Returns:
-        The dataset's folder.
-
-    Raises:
-        MissingExtraError: the extra ``hub`` is not installed.
-        InputError: there is no such dataset, or the Hub cannot be reached.
-        FormatError: what came is not what was pushed.
-    """
-    from h3data_pipelines.hub.pulling import Pull
-
-    return _result(Pull, locals())
-
-
-def sync(source: AnyPath, target: AnyPath, *, quick: bool = False, force: bool = False) -> Path | RemotePath:
-    """Copies a dataset to another folder or object store, or what is new in it; options as of ``h3data sync``.
-
-    Returns:
-        Where the copy is.
-
-    Raises:
-        InputError: the source is no dataset, or the target holds anything but a copy of it.
-        FormatError: a file arrived otherwise than it was sent.
-    """
-    from h3data_pipelines.hub.syncing import Sync
-
-    return _result(Sync, locals())
-
-
-def _result(command: type[Command], options: dict[str, Any], *, several: tuple[str, ...] = ()) -> Any:
-    """Runs a command with options as Python has them: paths as text, lists instead of tuples, one path for several."""
-    from h3data.commands.options import check_value, in_python_words, options_of
-    from h3data.errors import H3DataError, InputError
-
-    values: dict[str, Any] = {}
-    for option in options_of(command):
-        if option.field not in options:
-            continue
-        value = options[option.field]
-        one = isinstance(value, str) or hasattr(value, "__fspath__")
-        if option.field in several and one:
-            value, one = [value], False
-        if value is None:
-            continue
-        if option.count != 1 and (one or not isinstance(value, Iterable)):
-            raise InputError(f"{option.field}: expected a list, as [{value!r}], got {value!r}.", code="H3-OPTION-015")
-        value = value if option.count == 1 else tuple(value)
-        for each in (value,) if option.count == 1 else value:
-            check_value(option, each)
-        if option.count == 1:
-            values[option.field] = Path(str(value)) if option.kind is Path else value
-        else:
-            values[option.field] = tuple(map(Path, map(str, value)) if option.kind is Path else value)
-    try:
-        return command(**values).run().result
-    except (H3DataError, KeyboardInterrupt) as error:
-        if error.args:
-            error.args = (in_python_words(str(error), command), *error.args[1:])
-        raise
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'h3data_pipelines.api' has no attribute {name!r}; it has {', '.join(_HOMES)}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from h3data.commands.options import Option
+from h3data.commands.options import RENAMED, Option
 from h3data.errors import InputError, suggest
 
 
@@ -15,7 +15,7 @@ def read_job_file(path: Path, options: Sequence[Option]) -> dict[str, Any]:
     """The words of each option that a job file sets, by field, as if they had been given on the command line.
 
     Keys are the names of options and positional arguments, with dashes or underscores: ``episodes = 20``,
-    ``camera = ["robot_arm", "third_person"]``, ``task = "social_nav"``.
+    ``cameras = ["robot_arm", "third_person"]``, ``task = "social_nav"``.
 
     Raises:
         InputError: the file cannot be read, or one of its keys is no option of the command.
@@ -30,17 +30,26 @@ def read_job_file(path: Path, options: Sequence[Option]) -> dict[str, Any]:
         raise InputError(
             f"Expected a TOML file of options after --config ({error}): {path}", code="H3-OPTION-063"
         ) from None
-    by_field = {option.field: option for option in options}
+    by_name = {
+        name: option for option in options for name in map(_key, option.flags or (option.field,)) if len(name) > 1
+    }
     words: dict[str, Any] = {}
     for key, value in table.items():
-        option = by_field.get(key.replace("-", "_"))
+        option = by_name.get(_key(key))
         if option is None:
-            known = [field.replace("_", "-") for field in by_field]
+            if _key(now := RENAMED.get(f"--{_key(key)}", "")) in by_name:
+                raise InputError(f"{key} is {_key(now)} now. File: {path}", code="H3-OPTION-077")
+            known = list(by_name)
             raise InputError(
                 f"Unknown option {key!r} in {path}.{suggest(key, known, lead='Expected some of')}", code="H3-OPTION-064"
             )
         words[option.field] = _words(option, value, key, path)
     return words
+
+
+def _key(name: str) -> str:
+    """An option as a key: ``human-walk`` of ``--human-walk`` and of ``human_walk``."""
+    return name.lstrip("-").replace("_", "-")
 
 
 def _words(option: Option, value: Any, key: str, path: Path) -> Any:

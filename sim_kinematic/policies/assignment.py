@@ -65,6 +65,9 @@ class AssignedPolicy(NamedTuple):
         return bool(getattr(self.policy, "takes_commands", False))
 
 
+PolicyChoice = str | Policy | External | AssignedPolicy | Callable[..., Any]
+"""The name of a policy, ``weights:FILE``, ``module:name``; a policy; a function ``(view, base)``; `External` for somebody who
+decides outside."""
 Chosen = str | Any | Sequence[Any]
 Assigned = Mapping[str, Chosen]
 KINDS = {"robot": "robot", "human": "human", "person": "human"}

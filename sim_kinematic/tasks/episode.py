@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
@@ -130,3 +131,47 @@ def with_options(spec: Any, **options: Any) -> Any:
                 f"Unknown rule {name!r}.{suggest(name, valid, lead='Expected some of')}", code="H3-JOB-020"
             )
     return replace(spec, **{name: value for name, value in options.items() if value is not None})
+
+
+_RULE_KINDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a word",
+    tuple: "a list of numbers",
+}
+"""Types of rules that can be given as text, and how to ask for them."""
+
+
+def rule_value(spec: Any, name: str, value: Any) -> Any:
+    """The value of a rule, given as JSON, in the type that the rules have.
+
+    Raises:
+        InputError: the task has no such rule, or its values are of another type.
+    """
+    there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in _RULE_KINDS]
+    if name not in there:
+        raise InputError(f"Unknown rule {name!r}.{suggest(name, there)}", code="H3-JOB-020")
+    now = getattr(spec, name)
+    kind = type(now)
+    if kind is float and type(value) is int:
+        value = float(value)
+    if kind is tuple and isinstance(value, list) and len(value) == len(now):
+        value = tuple(map(_rule_number, value))
+    numbers = value if isinstance(value, tuple) else (value,)
+    if type(value) is not kind or any(number is None or number != number for number in numbers):
+        given = value if isinstance(value, str) else json.dumps(value)
+        shape = f" of length {len(now)}" if kind is tuple else ""
+        raise InputError(
+            f"Expected the rule {name} to be {_RULE_KINDS[kind]}{shape}, as {name}={_as_text(now)}; got {given}.",
+            code="H3-JOB-021",
+        )
+    return value
+
+
+def _rule_number(value: Any) -> float | None:
+    return float(value) if type(value) in (int, float) else None
+
+
+def _as_text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

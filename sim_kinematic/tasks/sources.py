@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any
 
+from h3data.bodies import Robot
 from h3data.errors import InputError, SceneError
 from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.progress import progress
@@ -16,7 +19,8 @@ from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.task import Task
 
-Scenes = str | Scene | Sequence[str | Scene]
+SceneChoice = str | os.PathLike[str] | Scene
+Scenes = SceneChoice | Sequence[SceneChoice]
 ATTEMPTS = 20
 """Homes and seeds that are tried before a source gives up: some homes have no room for some episodes."""
 
@@ -55,8 +59,8 @@ class EpisodeSource:
         scenes: Scenes,
         *,
         spec: Any = None,
-        agents: str | Sequence[str] | None = None,
-        robot: str = ROBOT_BODY,
+        agents: str | Sequence[str | Robot] | None = None,
+        robot: str | Path | Robot = ROBOT_BODY,
         human: str = HUMAN_BODY,
     ) -> None:
         """Looks up scenes and agents; scenes are opened at first use.
@@ -130,8 +134,8 @@ def scene_sources(scenes: Scenes) -> list[Scene | SceneSource]:
     for one in listed:
         if isinstance(one, Scene):
             sources.append(one)
-        elif isinstance(one, str):
-            sources += [named.source for named in named_scenes(one)]
+        elif isinstance(one, str | os.PathLike):
+            sources += [named.source for named in named_scenes(os.fspath(one))]
         else:
             raise InputError(f"Expected scenes as names or Scene, got {type(one).__name__}.", code="H3-TASK-059")
     if not sources:

@@ -35,8 +35,8 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
         scenes="small",
         homes=2,
         episodes=2,
-        policy="still",
-        partner="both",
+        policies="still",
+        partners="both",
         max_steps=600,
         human_walk="paper",
     )

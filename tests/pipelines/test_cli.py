@@ -13,7 +13,7 @@ import h3data
 from h3data.errors import InputError
 from h3data_pipelines.cli import jsonable, main
 from h3data_pipelines.commands.table import all_commands
-from h3data_pipelines.pictures.rerender import parse_outputs, parse_steps
+from h3data_pipelines.pictures.rerender import parse_steps
 
 DEMO_FILES = (
     "episode.mcap",
@@ -318,10 +318,3 @@ def test_step_ranges() -> None:
     for bad in ("x", "1:2:0", "9:", "1:2:3:4"):
         with pytest.raises(InputError):
             parse_steps(bad, 5)
-
-
-def test_output_lists() -> None:
-    assert parse_outputs("rgb, depth,rgb") == ("rgb", "depth")
-    for bad in ("", "smell", "rgb,smell"):
-        with pytest.raises(InputError):
-            parse_outputs(bad)

@@ -134,7 +134,7 @@ def test_videos_and_evaluations_are_the_same_bytes(
     short = ("--episodes", 3, "--max-steps", 20, "--seed", 3)
     for name, how in (("local", ()), ("ray", ("--executor", "ray", "--workers", 3))):
         run(capsys, "generate", "social_nav", *short, "--camera", "robot_arm", *how, "-o", tmp_path / name / "ds")
-        some = ("--policies", "rollout_expert,stand_still", "--keep", "--scenes", "small")
+        some = ("--policies", "rollout_expert,stand_still", "--save-recordings", "--scenes", "small")
         run(capsys, "evaluate", "social_nav", *some, *short, *how, "-o", tmp_path / name / "eval")
     assert files(tmp_path / "ray") == files(tmp_path / "local")
 

@@ -289,7 +289,7 @@ def test_files_that_are_none_end_in_one_line(saved: Path, tmp_path: Path, capsys
         (("--scenes", "medium"), "leave out --scenes"),
         (("--seed", "3"), "leave out --seed"),
         (("--spawn-distance", "3"), "leave out --spawn-distance"),
-        (("--rule", "objects=3"), "leave out the rule objects=3"),
+        (("--set", "objects=3"), "leave out the rule objects=3"),
         (("--episodes", "2"), "at most 1"),
     ],
 )

@@ -83,13 +83,13 @@ ASSUMED: dict[str, str] = {
     + "mask = None\nfrom h3data.scene import HomeSpec, build_home\nhome = build_home(HomeSpec(preset='small', seed=3))\n"
     + "from h3data.render.sheets.scene_map import render_scene\nflat = render_scene(home)\n"
     + "meshes, instances, static = flat.meshes, flat.instances, range(len(flat.instances))\n",
-    "rerender.md": 'import h3data\nh3data.rerender("episode.mcap", "training", camera=["robot_arm"], outputs="rgb,depth",'
+    "rerender.md": 'import h3data\nh3data.rerender("episode.mcap", "training", cameras=["robot_arm"], outputs=["rgb", "depth"],'
     + ' format="data", steps="0:9")\n',
     "rearrangement.md": "from sim_kinematic.policies.views import *\nAction = RearrangeView = object\n",
     "replay.md": OPEN + 'my_policy = "stand_still"\n',
     "statistics.md": 'episodes = {f"scene_{k}": [f"e{10 * k + j}" for j in range(80)] for k in range(8)}\n',
     "view.md": OPEN
-    + 'other = recording\nh3data.rerender("ds#0", "v", camera=["top_down"])\n'
+    + 'other = recording\nh3data.rerender("ds#0", "v", cameras=["top_down"])\n'
     + 'import shutil\nshutil.move(next(iter(__import__("pathlib").Path("v").glob("*.mp4"))), "top_down.mp4")\n',
     "robots.md": "import h3data\n",
 }
@@ -184,7 +184,9 @@ def shortened(words: list[str]) -> list[str]:
             words = [*_without(words, "--episodes", "--workers"), "--episodes", episodes]
             words += [] if {"rearrange", "skill"} & set(words) else ["--max-steps", "20"]
         case ["train", *_]:
-            is_fast = "fast" in words or "--init" in words  # later commands begin with what earlier ones have trained
+            is_fast = (
+                "fast" in words or "--warm-start" in words
+            )  # later commands begin with what earlier ones have trained
             words = _without(words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds", "--rollout")
             words += ["--recipe", "fast"] if is_fast else []
             words += ["--scenes", "h3-homes/train#0", "--updates", "1"]

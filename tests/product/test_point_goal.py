@@ -31,7 +31,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: Any) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("point_goal") / "pg"
-    assert main(["generate", REFERENCE, "--episodes", "3", "--rule", "arrive_m=0.4", "-o", str(out), "--json"]) == 0
+    assert main(["generate", REFERENCE, "--episodes", "3", "--set", "arrive_m=0.4", "-o", str(out), "--json"]) == 0
     return out
 
 

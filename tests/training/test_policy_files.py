@@ -218,8 +218,8 @@ def test_an_evaluation_shows_policies_the_light_that_is_asked_for(tmp_path: Path
     names = [f"weights:{tmp_path / name}.npz" for name in ("rgb", "depth")]
 
     def played(light: Any) -> tuple[str, ...]:
-        policies = ",".join([*names, "end_to_end", "stand_still"])
-        request = EvaluationRequest(task="social_nav", policies=policies, scenes="small:1", episodes=1, light=light)
+        policies = (*names, "end_to_end", "stand_still")
+        request = EvaluationRequest(task="social_nav", policies=policies, scenes=("small:1",), episodes=1, light=light)
         return request.jobs()[0].policies
 
     own = (*map(stamped, names), "end_to_end", "stand_still")

@@ -665,7 +665,9 @@ def _file(folder: Path, network: SkillPolicyNetwork, *, without: str = "", **cha
 def test_a_zero_shot_population_may_hold_files(tmp_path: Path) -> None:
     file = tmp_path / "person.npz"
     save_policy(chooser("partner_0"), file)
-    request = EvaluationRequest(task="rearrange", partners=f"both,weights:{file}", zsc=(f"both,weights:{file}",))
+    request = EvaluationRequest(
+        task="rearrange", partners=("both", f"weights:{file}"), unseen_partners=("both", f"weights:{file}")
+    )
     assert request.population == request.jobs()[0].partners
     assert "@" in request.population[1]
 
@@ -711,13 +713,16 @@ def test_the_command_plans_and_refuses(tmp_path: Path, whole: Path, capsys: pyte
     assert "10 updates" in text
     assert not (tmp_path / "n").exists()
     for options, message in (
-        (["rearrange", "--hold", "3", "--gpus", "2"], "--hold, --gpus"),
+        (
+            ["rearrange", "--action-repeat", "3", "--gpus", "2"],
+            "no options of rearrange: --action-repeat (of social_nav and skill), --gpus",
+        ),
         (["rearrange", "--recipe", "fast"], "Unknown recipe 'fast' of rearrange. Expected one of: paper; or none"),
         (["rearrange", "--population", "plan_pop"], "Did you mean"),
         (["rearrange", "--workers", "0"], "at least 1 worker"),
         (["social_nav", "--population", "learn_pop"], "--population"),
-        (["skill", "nav", "--without", "primitives"], "--without"),
-        (["rearrange", "--without", "legs"], "humanoid_gps"),
+        (["skill", "nav", "--ablate", "primitives"], "no options of skill: --ablate (of rearrange)"),
+        (["rearrange", "--ablate", "legs"], "humanoid_gps"),
         (["wander"], "social_nav, rearrange or skill"),
     ):
         assert main(["train", *options, *out]) == 2

@@ -282,7 +282,7 @@ def test_a_trained_policy_is_where_a_run_begins(whole: Path, bank: EpisodeBank, 
     assert card.training["parent"]["recipe"] == "small"
     with pytest.raises(InputError, match="observations="):
         train(tmp_path, small(observations=BLIND), init=policy, bank=bank)
-    assert main(["train", "social_nav", "--init", "plain_expert", "-o", str(tmp_path / "n")]) == 2
+    assert main(["train", "social_nav", "--warm-start", "plain_expert", "-o", str(tmp_path / "n")]) == 2
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,8 @@ class EpisodeFactory:
             plan = msgspec.structs.replace(plan, partner=self.app.partner)
         self.plan = plan
         self.task = find_task(self.app.task)
-        self.spec = with_options(self.task.Spec(), **{**self.app.rules, **plan.rules})
+        rules = {name: tuple(value) if isinstance(value, list) else value for name, value in plan.rules.items()}
+        self.spec = with_options(self.task.Spec(), **{**self.app.rules, **rules})
         self.roster = plan.roster(tuple(self.task.agents))
         human = HUMAN_BODY if plan.motion is None else f"{HUMAN_BODY}+{plan.motion}"
         self.source = EpisodeSource(self.task, plan.scenes, spec=self.spec, agents=self.roster, human=human)

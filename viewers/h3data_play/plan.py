@@ -24,7 +24,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     """Who plays what, from `SEATS`; players first."""
     partner: str | None = None
     """Policy of everybody whom nobody plays; None: the task's default."""
-    scenes: str = "small"
+    scenes: str | tuple[str, ...] = "small"
     seed: int = 0
     episodes: int = 1
     speed: float = 1.0

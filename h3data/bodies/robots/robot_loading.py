@@ -48,6 +48,13 @@ def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in
     return _loaded(files, up, fill_in, *map(_version, files))
 
 
+def robot_name(robot: str | Path | Robot) -> str:
+    """The name or path by which `load_robot` finds a robot again."""
+    if not isinstance(robot, Robot):
+        return str(robot)
+    return robot.name if is_built_in(robot.name) and load_robot(robot.name).file == robot.file else str(robot.file)
+
+
 def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> RobotSettings:
     """Returns the settings that `load_robot` guesses for a URDF without a ``robot.toml``.
 

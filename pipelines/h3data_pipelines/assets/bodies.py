@@ -44,7 +44,7 @@ class BodiesShow:
     """Show everybody in every outfit, a row each."""
     speed: float = 1.3
     """Walking speed for --view walk [m/s]."""
-    lod: bool = False
+    low_detail: bool = False
     """Render the low-detail meshes."""
     width: int = 1600
     """Width of the image [pixels]."""
@@ -90,17 +90,17 @@ class BodiesShow:
         from h3data.render.sheets.people_sheet import face_picture, sheet_picture, walk_picture
 
         if self.view == "walk":
-            strips = [walk_picture(body, self.speed, lod=self.lod, width=self.width) for body in people]
+            strips = [walk_picture(body, self.speed, lod=self.low_detail, width=self.width) for body in people]
             return np.concatenate(strips)
         if self.view == "face":
-            return face_picture(people, lod=self.lod, width=self.width)
+            return face_picture(people, lod=self.low_detail, width=self.width)
         if self.view == "reach":
             from h3data_pipelines.assets.reaching import reach_picture
 
-            return reach_picture(people, lod=self.lod, width=self.width)
+            return reach_picture(people, lod=self.low_detail, width=self.width)
         columns = len(OUTFITS) if self.outfits else 6
         heading = HEADINGS_DEG[self.view]
-        return sheet_picture(people, heading_deg=heading, lod=self.lod, columns=columns, width=self.width)
+        return sheet_picture(people, heading_deg=heading, lod=self.low_detail, columns=columns, width=self.width)
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,8 @@ class Sql:
     query: tyro.conf.Positional[str]
     """One SELECT (also FROM ..., WITH ..., DESCRIBE, SUMMARIZE, EXPLAIN) in DuckDB's SQL."""
     datasets: tyro.conf.Positional[tuple[Path, ...]]
-    """Datasets, as folders or URIs (s3://bucket/ds), and folders of datasets (recordings/ of h3data evaluate --keep)."""
+    """Datasets, as folders or URIs (s3://bucket/ds), and folders of datasets (recordings/ of h3data evaluate
+    --save-recordings)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write all rows to this .csv or .parquet instead of showing them."""
     profile: str | None = None

@@ -5,19 +5,23 @@ from __future__ import annotations
 import hashlib
 import shutil
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from h3data.commands.command import DryRunFlag, JsonFlag, Outcome, keeping
+from h3data.commands.options import command_of
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file, size_text
 from h3data.progress import progress
 from h3data.recording.parquet.files import is_dataset, write_atomic
 from h3data.recording.storage import AnyPath, RemotePath, open_binary, place, sizes_below
 from h3data.terminal import counted
+from h3data_pipelines.arguments import result_of
+
+if TYPE_CHECKING:
+    from h3data_pipelines.arguments import FilePath
 
 _THREADS = 8
 _BLOCK = 1 << 20
@@ -27,7 +31,20 @@ _INFO = "meta/info.json"
 _WRITER = "h3/writer"
 
 
-@dataclass(frozen=True)
+def sync(source: FilePath, target: FilePath, *, quick: bool = False, force: bool = False) -> Path | RemotePath:
+    """Copies a dataset to another folder or object store, or what is new in it; options as of ``h3data sync``.
+
+    Returns:
+        Where the copy is.
+
+    Raises:
+        InputError: the source is no dataset, or the target holds anything but a copy of it.
+        FormatError: a file arrived otherwise than it was sent.
+    """
+    return result_of(Sync, locals())
+
+
+@command_of(sync)
 class Sync:
     """Copy a dataset between folders and object stores, or only what is missing in a copy.
 
@@ -46,14 +63,14 @@ class Sync:
     """Dataset, as a folder or URI."""
     target: tyro.conf.Positional[Path]
     """Folder or URI of the copy."""
-    quick: Annotated[bool, tyro.conf.arg(help="Take files of the same size as equal, without reading them.")] = False
+    quick: Annotated[bool, tyro.conf.arg(help="Take files of the same size as equal, without reading them.")]
     dry_run: DryRunFlag = False
     force: Annotated[
         bool,
         tyro.conf.arg(
             help="Make the target equal even if it holds another dataset: files that the source lacks are deleted."
         ),
-    ] = False
+    ]
     json: JsonFlag = False
 
     def run(self) -> Outcome:

@@ -69,7 +69,7 @@ class EpisodeRequest(Protocol):
         ...
 
     @property
-    def scenes(self) -> str:
+    def scenes(self) -> tuple[str, ...]:
         """Scenes, as the option ``--scenes`` names them."""
         ...
 
@@ -99,7 +99,7 @@ class EpisodeRequest(Protocol):
         ...
 
 
-def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: str) -> FileJobs:
+def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: tuple[str, ...]) -> FileJobs:
     """The episodes of ``request``, which cannot name both a file and scenes other than the default ones.
 
     Raises:

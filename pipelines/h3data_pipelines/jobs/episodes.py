@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import msgspec
 
-from h3data.errors import InputError, suggest
+from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.scene.scene_sets import SceneFile, SceneSet, SceneSource
 
@@ -166,20 +166,20 @@ class Choices:
 
     def spec(self, base: Any = None) -> Any:
         """The rules: ``base`` (default: the task's) with what the user asks for."""
-        from sim_kinematic.tasks.episode import with_options
+        from sim_kinematic.tasks.episode import rule_value, with_options
 
         base = self.found_task.default_spec() if base is None else base
         if self.oracle:
             from sim_kinematic.tasks.rearrange.episode import with_oracle_skills
 
             base = with_oracle_skills(base)
-        rules = {name: _rule_value(base, name, value) for name, value in self.rules}
+        rules = {name: rule_value(base, name, value) for name, value in self.rules}
         for name, option in (("max_steps", "max_steps"), ("spawn_distance_m", "spawn_distance")):
             if (asked := getattr(self, option)) is None:
                 continue
             if name in rules:
                 raise InputError(
-                    f"Expected --{option.replace('_', '-')} or --rule {name}=..., got both.", code="H3-JOB-029"
+                    f"Expected --{option.replace('_', '-')} or --set {name}=..., got both.", code="H3-JOB-048"
                 )
             rules[name] = asked
         return with_options(base, human_walk=self.human_walk, human_speed=self.human_speed, **rules)
@@ -284,7 +284,7 @@ def check_numbers(
 
 def make_jobs(
     choices: Choices,
-    scenes: str,
+    scenes: str | Sequence[str],
     *,
     episodes: int | None,
     seed: int,
@@ -292,7 +292,9 @@ def make_jobs(
     assets: Sequence[str | Path] = (),
     allow_missing: bool = False,
 ) -> Sequence[Job]:
-    """Episodes in the scenes that ``scenes`` means: all of a set by default, else 10.
+    """Episodes in the scenes that ``scenes`` means: all of a set by default, else 10, which go round the scenes.
+
+    Of several names each stands for its scenes; the episodes of a set are those of a set that is named alone.
 
     Raises:
         InputError: no such task, scenes, agents or policy, or a set has fewer episodes; the message lists what there is.
@@ -301,14 +303,16 @@ def make_jobs(
     from h3data.scene.scene_sets import find_scene_set
 
     choices = checked(choices)
-    label, _, which = scenes.partition("#")
-    found = find_scene_set(label)
+    names = (scenes,) if isinstance(scenes, str) else scenes
+    label, _, which = names[0].partition("#")
+    found = find_scene_set(label) if len(names) == 1 else None
     if found is not None:
-        chosen = replace(found, scenes=(found.entry(which),)) if "#" in scenes else found
+        chosen = replace(found, scenes=(found.entry(which),)) if "#" in names[0] else found
         drawn_with = choices.found_task.set_rules(chosen)
         more = {} if drawn_with is None else {"drawn_with": drawn_with, "spec": choices.spec(drawn_with)}
         return [choices.job(drawn, **more) for drawn in set_episodes(chosen, episodes=episodes, seed=seed)]
-    named = named_scenes(scenes, homes=homes, assets=assets, allow_missing=allow_missing)
+    options: dict[str, Any] = {"homes": homes, "assets": assets, "allow_missing": allow_missing}
+    named = [scene for name in names for scene in named_scenes(name, **options)]
     return SampledJobs(choices, named, range(10 if episodes is None else episodes), seed=seed)
 
 
@@ -430,50 +434,6 @@ def checked(choices: Choices) -> Choices:
         policy=named["robot"] or task.recorded_default("robot"),
         partner=named["human"] or task.recorded_default("human"),
     )
-
-
-_RULE_KINDS = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a word",
-    tuple: "a list of numbers",
-}
-"""Types of rules that can be given as text, and how to ask for them."""
-
-
-def _rule_value(spec: Any, name: str, value: Any) -> Any:
-    """The value of a rule, given as JSON, in the type that the rules have.
-
-    Raises:
-        InputError: the task has no such rule, or its values are of another type.
-    """
-    there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in _RULE_KINDS]
-    if name not in there:
-        raise InputError(f"Unknown rule {name!r}.{suggest(name, there)}", code="H3-JOB-020")
-    now = getattr(spec, name)
-    kind = type(now)
-    if kind is float and type(value) is int:
-        value = float(value)
-    if kind is tuple and isinstance(value, list) and len(value) == len(now):
-        value = tuple(map(_rule_number, value))
-    numbers = value if isinstance(value, tuple) else (value,)
-    if type(value) is not kind or any(number is None or number != number for number in numbers):
-        given = value if isinstance(value, str) else json.dumps(value)
-        shape = f" of length {len(now)}" if kind is tuple else ""
-        raise InputError(
-            f"Expected the rule {name} to be {_RULE_KINDS[kind]}{shape}, as {name}={_as_text(now)}; got {given}.",
-            code="H3-JOB-021",
-        )
-    return value
-
-
-def _rule_number(value: Any) -> float | None:
-    return float(value) if type(value) in (int, float) else None
-
-
-def _as_text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 def stored_person(name: str) -> str:

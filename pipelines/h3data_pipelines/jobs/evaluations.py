@@ -147,8 +147,8 @@ def files_of(policy: str) -> tuple[str, ...]:
     return tuple(PREFIX + path for path in found)
 
 
-def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...]:
-    """Names of policies from a list with commas between them.
+def chosen_names(option: str, asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
+    """Names of policies that an option asks for.
 
     ``all`` means all that exist, ``weights:PATTERN`` all files that match; learned policies are named with the digest
     of their weights.
@@ -158,7 +158,6 @@ def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...
     """
     from sim_kinematic.policies.learned import stamped, weights_hint
 
-    asked = [name.strip() for name in text.split(",") if name.strip()]
     names = tuple(dict.fromkeys(each for name in asked for each in (there if name == ALL else files_of(name))))
     strangers = [name for name in names if name not in there and ":" not in name]
     if strangers or not names:

@@ -51,8 +51,8 @@ NOTES = (
 class Bench:
     """Measure steps per second by the paper's protocol, on CPU or GPU.
 
-    300 steps of random actions, the first 10 not timed, with a depth image for each agent. Lists are separated by commas;
-    "all" means every value.
+    300 steps of random actions, the first 10 not timed, with a depth image for each agent. "all" means
+    every value.
 
     Examples:
         h3data bench sim
@@ -63,17 +63,17 @@ class Bench:
 
     group: tyro.conf.Positional[str]
     """sim: the simulator with depth images."""
-    homes: str = "small"
+    homes: tuple[str, ...] = ("small",)
     """small, medium, large."""
-    objects: str = "2"
+    objects: tuple[str, ...] = ("2",)
     """Number of objects; the paper has 2 and 10."""
-    agents: str = ALL
+    agents: tuple[str, ...] = (ALL,)
     """robot, human, robot_robot, human_robot."""
-    worlds: str = "1,16"
+    worlds: tuple[str, ...] = ("1", "16")
     """Number of worlds stepped at once; the paper has 1 and 16."""
-    actions: str = "nav"
+    actions: tuple[str, ...] = ("nav",)
     """nav: agents drive or walk; pick: they stand, and an arm or a hand reaches."""
-    bodies: str = "skinned"
+    bodies: tuple[str, ...] = ("skinned",)
     """skinned, or bones: people rendered as rigid capsules."""
     runs: int = 3
     """Runs per row; the paper has 10."""
@@ -299,8 +299,8 @@ def _table(rows: Iterable[dict[str, Any]]) -> list[str]:
     return ["  ".join(f"{word:<{width}}" for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]
 
 
-def _names(option: str, given: str, choices: tuple[str, ...]) -> tuple[str, ...]:
-    names = choices if given == ALL else tuple(dict.fromkeys(name.strip() for name in given.split(",")))
+def _names(option: str, given: tuple[str, ...], choices: tuple[str, ...]) -> tuple[str, ...]:
+    names = choices if given == (ALL,) else tuple(dict.fromkeys(given))
     unknown = [name for name in names if name not in choices]
     if unknown:
         raise InputError(
@@ -310,11 +310,10 @@ def _names(option: str, given: str, choices: tuple[str, ...]) -> tuple[str, ...]
     return names
 
 
-def _numbers(option: str, given: str, usual: tuple[str, ...]) -> tuple[int, ...]:
-    words = usual if given == ALL else tuple(dict.fromkeys(word.strip() for word in given.split(",")))
+def _numbers(option: str, given: tuple[str, ...], usual: tuple[str, ...]) -> tuple[int, ...]:
+    words = usual if given == (ALL,) else tuple(dict.fromkeys(given))
     if not all(word.isascii() and word.isdecimal() and int(word) >= 1 for word in words):
         raise InputError(
-            f"{option}: expected positive whole numbers, separated by commas, or all; got {given!r}.",
-            code="H3-MACHINE-003",
+            f"{option}: expected positive whole numbers, or all; got {', '.join(given)!r}.", code="H3-MACHINE-020"
         )
     return tuple(map(int, words))

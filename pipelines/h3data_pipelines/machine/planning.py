@@ -42,8 +42,8 @@ class Plan:
     """Different homes (h3-homes/train has 37)."""
     steps: float | None = None
     """Mean length of an episode (default: as measured)."""
-    camera: tuple[str, ...] = ()
-    """Camera whose video is added: robot_arm, human_head or top_down (repeatable)."""
+    cameras: tuple[str, ...] = ()
+    """Cameras whose videos are added: robot_arm, human_head or top_down."""
     price: float = 0.02
     """Of a core for an hour, in your currency; spot prices differ by place and day."""
     lost_nodes: float = 0.05
@@ -59,7 +59,7 @@ class Plan:
         for name in ("episodes", "cores", "datasets", "scenes"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}.", code="H3-MACHINE-017")
-        if strangers := [name for name in self.camera if name not in FRAMES]:
+        if strangers := [name for name in self.cameras if name not in FRAMES]:
             raise InputError(
                 f"--camera: expected some of {', '.join(FRAMES)}, got {', '.join(strangers)}.", code="H3-MACHINE-015"
             )
@@ -85,7 +85,7 @@ class Plan:
 
     def _row(self, costs: Costs, cores: int) -> dict[str, Any]:
         steps = costs.steps if self.steps is None else self.steps
-        frames = sum(costs.frame_s[name] for name in self.camera)
+        frames = sum(costs.frame_s[name] for name in self.cameras)
         shard_s = costs.episode_s + steps * (costs.step_s + frames)
         load = Workload(
             shards=self.episodes, shard_s=shard_s, scenes=self.scenes, scene_s=costs.scene_s, start_s=costs.start_s,

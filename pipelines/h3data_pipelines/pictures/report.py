@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,17 +21,55 @@ from h3data.commands.command import (
     claim_file,
     write_text,
 )
-from h3data.commands.options import command_line
+from h3data.commands.options import command_line, command_of
 from h3data.errors import InputError
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.jobs.table_cells import or_none
 
 if TYPE_CHECKING:
+    from typing import Literal
+
+    from h3data.bodies.people.rigid_parts import PeopleStyle
+    from h3data.render.light.sources import LightMode
+    from h3data_pipelines.arguments import FilePath, Names, Paths
     from h3data_viewers.html_report.report import Report
     from h3data_viewers.html_report.report_data import Run
 
 
-@dataclass(frozen=True)
+def report(
+    datasets: Paths,
+    out: FilePath = "report.html",
+    *,
+    title: str = "",
+    markdown: FilePath | None = None,
+    latex: FilePath | None = None,
+    pictures: int = 6,
+    assets: Paths = (),
+    people: PeopleStyle = "skin",
+    light: LightMode = "baked",
+    stand_ins: bool = False,
+    replays: bool = False,
+    unseen_partners: Names = (),
+    seeds: Names = (),
+    study_model: Literal["auto", "poisson", "observation"] = "auto",
+    failed: Literal["leave-out", "limit"] = "leave-out",
+    workers: int = 1,
+    executor: str = "local",
+    force: bool = False,
+) -> Report:
+    """Writes a self-contained HTML report on datasets and recordings; options as of ``h3data report``.
+
+    Returns:
+        The report: its runs, tables, and what could not be measured.
+
+    Raises:
+        InputError: there is nothing to report on, an option is wrong, or a file exists.
+    """
+    return result_of(ReportCommand, locals())
+
+
+@command_of(report)
 class ReportCommand:
     """Write a self-contained HTML report: tables next to the paper's, charts, key frames.
 
@@ -47,41 +84,41 @@ class ReportCommand:
         h3data report ds/ -o report.html --replays
         h3data report out/nav -o training.html
         h3data report ds/ --markdown tables.md --pictures 0
-        h3data report out/zsc --zsc plan_pop_1 --zsc plan_pop_2
+        h3data report out/zsc --unseen-partners plan_pop_1,plan_pop_2
         h3data report study/ --study-model observation --failed limit
         h3data report runs/ --executor ray --workers 32
     """
 
     datasets: tyro.conf.Positional[tuple[Path, ...]]
     """Datasets, .mcap files, folders of these, which are walked, and those of h3data evaluate."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("report.html")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """HTML file to write."""
-    title: str = ""
+    title: str
     """Title of the report (default: the tasks)."""
-    markdown: Path | None = None
+    markdown: Path | None
     """Also write the tables to this Markdown file."""
-    latex: Path | None = None
+    latex: Path | None
     """Also write the tables to this LaTeX file (needs booktabs)."""
-    pictures: int = 6
+    pictures: int
     """Number of episodes per task shown with key frames."""
-    replays: bool = False
+    replays: bool
     """Also write an HTML replay of each episode shown with key frames, and link it: REPORT_replays/, 1 to 3 MB each."""
-    people: PeopleOption = "skin"
-    light: LightOption = "baked"
-    assets: tuple[Path, ...] = ()
+    people: PeopleOption
+    light: LightOption
+    assets: tuple[Path, ...]
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
-    stand_ins: StandInsFlag = False
-    zsc: tuple[str, ...] = ()
-    """A partner of the zero-shot population, whose mean the heat maps show (repeatable; default: as the recordings say)."""
-    seeds: tuple[str, ...] = ()
+    stand_ins: StandInsFlag
+    unseen_partners: tuple[str, ...]
+    """Partners that no robot was trained with, whose mean the heat maps show (default: as the recordings say)."""
+    seeds: tuple[str, ...]
     """Policies that differ by their training seed alone, as a pattern in quotes such as "weights:out/s*/policy.npz": they are
-    one row, the mean over seeds and its standard deviation (repeatable; default: as the evaluation was told)."""
-    study_model: StepsModelOption = "auto"
-    failed: FailedOption = "leave-out"
-    workers: int = 1
+    one row, the mean over seeds and its standard deviation (default: as the evaluation was told)."""
+    study_model: StepsModelOption
+    failed: FailedOption
+    workers: int
     """Processes, or Ray's workers, that read and measure the recordings."""
-    executor: ExecutorOption = "local"
-    force: ForceFlag = False
+    executor: ExecutorOption
+    force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -113,7 +150,7 @@ class ReportCommand:
                 self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets, people=self.people,
                 light=self.light, stand_ins=self.stand_ins,
                 study=StudyModel(steps=self.study_model, failed=self.failed),
-                zsc=[name for entry in self.zsc for name in entry.split(",") if name], seeds=self.seeds, replays=self.replays,
+                unseen_partners=self.unseen_partners, seeds=self.seeds, replays=self.replays,
                 spread=partial(executor.run, lost=lost_part),
                 command=f"{command_line('report', self)} -o {shlex.quote(self.out.name)}",
             )  # fmt: skip

@@ -28,6 +28,7 @@ from h3data.commands.command import (
     keeping,
     open_episode,
 )
+from h3data.commands.options import command_of
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.finding import find_episodes
@@ -35,15 +36,19 @@ from h3data.recording.parquet.files import is_dataset
 from h3data.recording.storage import local, place
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.terminal import counted
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.jobs.camera_log import CameraLog
 from h3data_pipelines.jobs.imports import recording_stem
-from h3data_pipelines.outputs import OUTPUTS, Format, Target
+from h3data_pipelines.outputs import Format, OutputName, Target
 from h3data_pipelines.pictures.rendering import frames_per_second, render_files
 
 if TYPE_CHECKING:
+    from h3data.bodies.people.rigid_parts import PeopleStyle
     from h3data.render import Output
+    from h3data.render.light.sources import LightMode
+    from h3data_pipelines.arguments import FilePath, Paths
 
 
 MAX_SIDE_PX = 8192
@@ -60,7 +65,41 @@ class Rendered:
     """Why a recording could not be rendered, by its path."""
 
 
-@dataclass(frozen=True)
+def rerender(
+    recordings: Paths,
+    out: FilePath,
+    *,
+    cameras: Paths = (),
+    people: PeopleStyle = "skin",
+    light: LightMode = "baked",
+    backend: Literal["auto", "cpu", "gpu"] = "cpu",
+    outputs: OutputName | Sequence[OutputName] = "rgb",
+    assets: Paths = (),
+    stand_ins: bool = False,
+    steps: str | slice | range = "",
+    format: Literal["mp4", "av1", "png", "data"] = "mp4",
+    size: tuple[int, int] | str = "",
+    samples: Literal[1, 4] | None = None,
+    workers: int | None = None,
+    executor: str = "local",
+    force: bool = False,
+) -> Rendered:
+    """Renders recordings from any number of cameras into the folder ``out``; options as of ``h3data rerender``.
+
+    Returns:
+        The video files and folders of images, and which recordings failed.
+
+    Raises:
+        InputError: an option is wrong, a file exists, or no recording can be rendered.
+    """
+    if not isinstance(size, str):
+        size = "x".join(map(str, size))
+    if not isinstance(steps, str):
+        steps = ":".join("" if part is None else str(part) for part in (steps.start, steps.stop, steps.step))
+    return result_of(Rerender, locals())
+
+
+@command_of(rerender)
 class Rerender:
     """Render recordings from any number of cameras, as videos for the browser or as lossless data.
 
@@ -68,7 +107,7 @@ class Rerender:
     <recording>.cameras.json holds each camera's intrinsics K and its pose at every frame.
 
     Examples:
-        h3data rerender out/demo/episode.mcap --camera top_down --camera robot_arm --outputs rgb,depth -o videos/
+        h3data rerender out/demo/episode.mcap --cameras top_down,robot_arm --outputs rgb,depth -o videos/
         h3data rerender rec/*.mcap --camera third_person --outputs rgb,depth,instance --format data -o training/
         h3data rerender rec/ --camera third_person -o videos/
         h3data rerender rec/session.mcap --camera my_camera.toml --steps 0:300:2 --format png -o frames/
@@ -79,36 +118,35 @@ class Rerender:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results: <recording>.<camera>.<output>, a video file or a folder of images. Those of a folder keep their
     place below it."""
-    camera: tuple[str, ...] = ()
-    """Camera name or .toml file; repeatable (default: top_down). An unknown name prints the list of cameras."""
-    outputs: str = "rgb"
-    """Comma-separated list of rgb, depth, instance, semantic."""
-    assets: tuple[Path, ...] = ()
+    cameras: tuple[str, ...]
+    """Camera names or .toml files (default: top_down). An unknown name prints the list of cameras."""
+    outputs: tuple[OutputName, ...]
+    """What the pictures show."""
+    assets: tuple[Path, ...]
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
-    stand_ins: StandInsFlag = False
-    steps: str = ""
+    stand_ins: StandInsFlag
+    steps: str
     """Range of steps as start:stop:stride (default: all)."""
-    format: Format = "mp4"
+    format: Format
     """mp4 (H.264) or av1: videos for viewing. png: images, depth as 16-bit millimetres, ids as 16-bit id + 1.
     data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
-    size: str = ""
+    size: str
     """Size of the pictures such as 1280x720 (default: the camera's own). The horizontal field of view stays; top_down,
     top_down_orthographic and orbit keep the whole picture in view."""
-    samples: Literal[1, 4] | None = None
+    samples: Literal[1, 4] | None
     """Samples of colour per pixel: 4 smooths edges (default: 4 for mp4 and av1, 1 for png and data)."""
-    people: PeopleOption = "skin"
-    light: LightOption = "baked"
-    backend: BackendOption = "cpu"
-    workers: int | None = None
+    people: PeopleOption
+    light: LightOption
+    backend: BackendOption
+    workers: int | None
     """Number of render threads (default: one per core), or of Ray's workers, each for a recording."""
-    executor: ExecutorOption = "local"
+    executor: ExecutorOption
     dry_run: DryRunFlag = False
-    force: ForceFlag = False
+    force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         """Renders all recordings, in several processes if asked to, and returns the files."""
-        parse_outputs(self.outputs)
         parse_size(self.size)
         local(self.out)
         if not self.recordings:
@@ -161,7 +199,7 @@ class Rerender:
         replay = Replay(
             open_episode(path), assets=self.assets, people=self.people, light=light, stand_ins=self.stand_ins
         )
-        tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
+        tracks = [camera_track(replay, name) for name in self.cameras or ("top_down",)]
         if size := parse_size(self.size):
             tracks = [track.resized(*size) for track in tracks]
         names = [track.camera.name for track in tracks]
@@ -259,7 +297,7 @@ def render_shard(command: Rerender, shard: Shard, *, alone: bool) -> RenderedSha
     """Renders one recording. What cannot be rendered is listed, unless it is the only one or the disk is full."""
     command = replace(command, out=command.out / shard.below)
     try:
-        return command.render(shard.path, shard.stem, parse_outputs(command.outputs), shard.counter)
+        return command.render(shard.path, shard.stem, tuple(dict.fromkeys(command.outputs)), shard.counter)
     except H3DataError as error:
         if alone or isinstance(error, DiskFullError):
             raise
@@ -323,17 +361,6 @@ def _refuse_existing(targets: Sequence[Target]) -> None:
                 f"overwrite it, or another -o: {target.path}",
                 code="H3-RENDER-092",
             )
-
-
-def parse_outputs(text: str) -> tuple[Output, ...]:
-    """Parses a comma-separated list of outputs such as ``"rgb,depth"``."""
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    unknown = [name for name in names if name not in OUTPUTS]
-    if unknown or not names:
-        raise InputError(
-            f"Unknown outputs {unknown or text!r}. Expected some of: {', '.join(OUTPUTS)}.", code="H3-RENDER-084"
-        )
-    return tuple(dict.fromkeys(names))  # type: ignore[arg-type]
 
 
 def parse_size(text: str) -> tuple[int, int] | None:

@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 import webbrowser
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,16 +24,20 @@ from h3data.commands.command import (
     claim_file,
     open_episode,
 )
+from h3data.commands.options import command_of
 from h3data.errors import InputError
 from h3data.files import size_text
 from h3data.recording import Recording
 from h3data.recording.storage import RemotePath, place
 from h3data.render.light.sources import LightMode
 from h3data.replay import Replay
+from h3data_pipelines.arguments import result_of
 from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.pictures.rerender import missing_lines
 
 if TYPE_CHECKING:
+    from h3data.bodies.people.rigid_parts import PeopleStyle
+    from h3data_pipelines.arguments import FilePath, Paths
     from h3data_viewers import ShownRecording
 
 
@@ -42,7 +45,33 @@ PICTURES = (".png", ".jpg")
 """Endings of files with a strip."""
 
 
-@dataclass(frozen=True)
+def view(
+    recording: FilePath,
+    *,
+    compare: FilePath | None = None,
+    out: FilePath | None = None,
+    cameras: Paths = (),
+    people: PeopleStyle = "skin",
+    light: LightMode = "baked",
+    assets: Paths = (),
+    stand_ins: bool = False,
+    open: bool = False,
+    force: bool = False,
+) -> Path:
+    """Writes a recording as a Rerun file, or as an HTML file that plays it in a browser.
+
+    A Rerun file can show two recordings side by side. The options are those of ``h3data view``.
+
+    Returns:
+        The .rrd or .html file.
+
+    Raises:
+        InputError: an option is wrong, or the file exists.
+    """
+    return result_of(View, locals())
+
+
+@command_of(view)
 class View:
     """Write a recording as a Rerun file or as one HTML file that plays from disk: 3-D scene, moving bodies, charts, events.
 
@@ -54,28 +83,28 @@ class View:
         h3data view out/demo/episode.mcap -o episode.rrd
         h3data view ds#3 -o episode.html --open
         h3data view rec/session.mcap --assets ~/habitat
-        h3data view ds#3 --camera robot_arm --camera third_person
+        h3data view ds#3 --cameras robot_arm,third_person
         h3data view ds#3 --compare other#3
         h3data view ds#3 -o strip.png
     """
 
     recording: tyro.conf.Positional[Path]
     """.mcap file or episode of a dataset such as ds#0, as a path or URI."""
-    compare: Path | None = None
+    compare: Path | None
     """Second recording, shown next to the first on the same timeline (.rrd only)."""
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])]
     """.rrd, .html, .png or .jpg file to write (default: .rrd, next to the recording)."""
-    camera: tuple[str, ...] = ()
+    cameras: tuple[str, ...]
     """Cameras to render at every fifth step: names as in rerender, or .toml or .json files (.rrd only)."""
-    people: PeopleOption = "skin"
-    light: LightOption = "baked"
+    people: PeopleOption
+    light: LightOption
     """Of the cameras' pictures and of strips; the 3-D scene has none."""
-    assets: tuple[Path, ...] = ()
+    assets: tuple[Path, ...]
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
-    stand_ins: StandInsFlag = False
-    open: bool = False
+    stand_ins: StandInsFlag
+    open: bool
     """Open the file when it is written: .rrd in Rerun, others in the browser."""
-    force: ForceFlag = False
+    force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -87,7 +116,7 @@ class View:
             )
         if form == ".rrd":
             return self._rrd()
-        if self.compare is not None or self.camera:
+        if self.compare is not None or self.cameras:
             option = "--compare" if self.compare is not None else "--camera"
             raise InputError(
                 f"{option} needs a Rerun file: give -o a name that ends in .rrd. Got: {self.out}", code="H3-RENDER-096"
@@ -161,7 +190,7 @@ class View:
     def _shown(self, path: Path, replay: Replay) -> ShownRecording:
         from h3data_viewers import ShownRecording, rendered_feed
 
-        feeds = [rendered_feed(replay, name) for name in dict.fromkeys(self.camera)]
+        feeds = [rendered_feed(replay, name) for name in dict.fromkeys(self.cameras)]
         return ShownRecording(recording=replay.recording, replay=replay, cameras=feeds, name=str(place(path)))
 
     def _beside(self) -> Path:

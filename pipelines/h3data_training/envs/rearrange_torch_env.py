@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from h3data.errors import InputError, did_you_mean
-from h3data.scene import Scene
 from h3data_training.envs.torch_env import Tensors, TorchEnv
 from h3data_training.torch.rearrange.observations import View, checked_observations, observed
 from h3data_training.torch.rearrange.state import FREE, Play
@@ -18,6 +17,7 @@ from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.policies.rearrange import PARTNERS
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, limits
 from sim_kinematic.tasks.describe import in_words
+from sim_kinematic.tasks.sources import Scenes
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
@@ -41,7 +41,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
     def __init__(
         self,
         num_envs: int = 1,
-        scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
+        scenes: Scenes = "h3-homes/train",
         *,
         device: torch.device | str = "cuda",
         dtype: torch.dtype | None = None,

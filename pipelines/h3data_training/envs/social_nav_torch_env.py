@@ -14,12 +14,12 @@ from torch import Tensor
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.render.light.sources import LightMode, check_light
-from h3data.scene import Scene
 from h3data_training.envs.torch_env import Tensors, TorchEnv
 from h3data_training.torch.social_nav import Play, SocialNavTensors
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, HUMAN_ID, scaled_depth
 from sim_kinematic.tasks.describe import in_words
+from sim_kinematic.tasks.sources import Scenes
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Box, Dict
@@ -68,7 +68,7 @@ class SocialNavTorchEnv(TorchEnv[Play]):
     def __init__(
         self,
         num_envs: int = 1,
-        scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
+        scenes: Scenes = "h3-homes/train",
         *,
         device: torch.device | str = "cuda",
         dtype: torch.dtype | None = None,

@@ -19,7 +19,7 @@ from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.social_nav import TRAINING, SocialNav
 from sim_kinematic.tasks.social_nav.episode import Starts, goals_of
-from sim_kinematic.tasks.sources import EpisodeSource
+from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,7 +46,7 @@ class EpisodeBank:
 
     @classmethod
     def draw(
-        cls, scenes: str | Scene | Sequence[str | Scene], count: int, *, seed: int = 0, spec: SocialNavSpec = TRAINING,
+        cls, scenes: Scenes, count: int, *, seed: int = 0, spec: SocialNavSpec = TRAINING,
         robot: str = "quad_arm", human: str = "female_0",
     ) -> EpisodeBank:  # fmt: skip
         """The first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.

@@ -177,7 +177,7 @@ def test_recordings_carry_the_walk(task: str, walk_file: Path, tmp_path: Path) -
 @pytest.mark.slow
 def test_generate_gives_everybody_the_walk(walk_file: Path, tmp_path: Path) -> None:
     options = {"scenes": "small", "episodes": 2, "max_steps": 40, "motion": walk_file, "human": "any"}
-    done = h3data.generate("wander", tmp_path / "ds", agents="robot,human,male_1", **options)
+    done = h3data.generate("wander", tmp_path / "ds", agents=["robot", "human", "male_1"], **options)
     assert not done.failed
     people = [
         agent.model for recording in h3data.open(tmp_path / "ds") for agent in recording.agents if agent.kind == "human"
@@ -187,13 +187,13 @@ def test_generate_gives_everybody_the_walk(walk_file: Path, tmp_path: Path) -> N
         walk_import.keep_walk(walk_import.walk_file(str(walk_file)))
     }
     assert "humanoid/male_1" in {model.partition("+")[0] for model in people}
-    h3data.generate("wander", tmp_path / "ds", agents="robot,human,male_1", resume=True, **options)
+    h3data.generate("wander", tmp_path / "ds", agents=["robot", "human", "male_1"], resume=True, **options)
     with pytest.raises(InputError):
         h3data.generate(
-            "wander", tmp_path / "ds", agents="robot,human,male_1", resume=True, **{**options, "motion": None}
+            "wander", tmp_path / "ds", agents=["robot", "human", "male_1"], resume=True, **{**options, "motion": None}
         )
     with pytest.raises(InputError, match="--motion is how people walk"):
-        h3data.generate("wander", tmp_path / "robots", agents="robot,robot", motion=walk_file)
+        h3data.generate("wander", tmp_path / "robots", agents=["robot", "robot"], motion=walk_file)
 
 
 @pytest.mark.slow

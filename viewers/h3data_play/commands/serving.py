@@ -32,8 +32,8 @@ AllowHostOption = Annotated[
     tuple[str, ...],
     tyro.conf.arg(
         metavar="NAME",
-        help="Further name by which browsers reach the server, such as study.example.org behind a proxy; may be given several "
-        "times. Known without it: loopback, addresses, --host and the certificate's names.",
+        help="Further names by which browsers reach the server, such as study.example.org behind a proxy. "
+        "Known without it: loopback, addresses, --host and the certificate's names.",
     ),
 ]
 NoBrowserFlag = Annotated[bool, tyro.conf.arg(help="Only print the address.")]
@@ -47,7 +47,7 @@ def serving_options(
     cert: Path | None,
     key: Path | None,
     behind_proxy: bool,
-    allow_host: Sequence[str] = (),
+    allow_hosts: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Options of the server process, checked.
 
@@ -62,7 +62,7 @@ def serving_options(
     for file in (cert, key):
         if file is not None and not file.is_file():
             raise InputError(f"There is no such file: {file}", code="H3-PLAY-011")
-    for name in allow_host:
+    for name in allow_hosts:
         if re.fullmatch(r"(\*\.)?[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*\.?", name) is None:
             raise InputError(
                 f"Expected --allow-host with a name such as study.example.org, without port, got {name}",
@@ -70,7 +70,7 @@ def serving_options(
             )
     return {
         "host": host, "port": port, "cert": str(cert or ""), "key": str(key or ""), "behind_proxy": behind_proxy,
-        "allow_hosts": list(allow_host),
+        "allow_hosts": list(allow_hosts),
     }  # fmt: skip
 
 

@@ -146,7 +146,7 @@ class StudyCompare:
     h3data evaluate by the name of their policy; files of weights by their digest, whatever they are called.
 
     Examples:
-        h3data evaluate rearrange --policies complement,same_object --keep -o out/zsc
+        h3data evaluate rearrange --policies complement,same_object --save-recordings -o out/zsc
         h3data study compare study.toml out/zsc
     """
 

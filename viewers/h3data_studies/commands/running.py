@@ -86,7 +86,7 @@ class StudyRun:
     cert: CertOption = None
     key: KeyOption = None
     behind_proxy: ProxyFlag = False
-    allow_host: AllowHostOption = ()
+    allow_hosts: AllowHostOption = ()
     no_browser: NoBrowserFlag = False
     speed: Annotated[float, tyro.conf.Suppress] = 1.0
     """Above 1 time runs faster: for scripted participants."""
@@ -98,7 +98,7 @@ class StudyRun:
 
         serving = serving_options(
             "h3data study run", host=self.host, port=self.port, cert=self.cert, key=self.key,
-            behind_proxy=self.behind_proxy, allow_host=self.allow_host,
+            behind_proxy=self.behind_proxy, allow_hosts=self.allow_hosts,
         )  # fmt: skip
         if self.workers < 1 or self.seats_per_address < 1:
             raise InputError("Expected --workers and --seats-per-address of at least 1.", code="H3-STUDY-012")

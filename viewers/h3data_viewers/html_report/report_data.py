@@ -139,21 +139,21 @@ class ReportData:
 def gather(
     paths: Iterable[str | os.PathLike[str]],
     *,
-    zsc: Sequence[str] = (),
+    unseen_partners: Sequence[str] = (),
     seeds: Sequence[str] = (),
     spread: Spread[Found] = map,
 ) -> ReportData:
     """Reads every recording of datasets, logs and folders of these, and measures each by the profile of its task.
 
-    A folder of ``h3data evaluate`` without recordings gives its results. ``zsc`` names the partners of the zero-shot
-    population (default: those that the evaluation was told, else the paper's as far as all of it played, else as the
+    A folder of ``h3data evaluate`` without recordings gives its results. ``unseen_partners`` names the partners of the
+    zero-shot population (default: those that the evaluation was told, else the paper's as far as all of it played, else as the
     recordings say). Policies that fit a pattern of ``seeds``, such as ``weights:out/s*/policy.npz`` (default: those that
     the evaluation was told), are one run of several training seeds. ``spread`` may have other processes or machines read
     the recordings.
 
     Raises:
-        InputError: there is no recording, or a path is given twice; a partner in ``zsc`` does not occur; what `tabulate`
-            refuses; fewer than two policies fit a pattern of seeds.
+        InputError: there is no recording, or a path is given twice; a partner in ``unseen_partners`` does not occur;
+            what `tabulate` refuses; fewer than two policies fit a pattern of seeds.
         FormatError: a file is damaged.
     """
     roots = tuple(map(Path, paths))
@@ -167,8 +167,8 @@ def gather(
     curves = {root.name: curve for root in roots if (curve := read_curves(root))}
     if not gathered.count and not curves:
         raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.", code="H3-VIEW-005")
-    if zsc := zsc or evaluated_zsc(roots):
-        gathered.name_population(zsc)
+    if named := unseen_partners or evaluated_zsc(roots):
+        gathered.name_population(named)
     return ReportData(
         paths=roots,
         runs=_pooled(_runs(gathered.grouped, gathered.profiles, roots), roots, seeds),
@@ -267,7 +267,7 @@ class _Gathered:
 
 
 def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[ReportEpisode]:
-    """The episode once for each partner that it stands for (``info["partners"]`` of ``h3data evaluate --keep``)."""
+    """The episode once for each partner that it stands for (``info["partners"]`` of ``h3data evaluate --save-recordings``)."""
     if not shared_by(info):
         return [episode]
     return [

@@ -1,6 +1,6 @@
 """Results of ``h3data evaluate``, which have no recordings: a row of metrics for each policy, partner and episode.
 
-They say to which population a partner belongs, and which partners ``--zsc`` named.
+They say to which population a partner belongs, and which partners ``--unseen-partners`` named.
 """
 
 from __future__ import annotations
