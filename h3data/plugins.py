@@ -58,10 +58,7 @@ def trust(*modules: str) -> None:
     """
     for module in modules:
         if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", module):
-            raise InputError(
-                f"Expected the name of a module to trust, such as my_package.my_task, got {module!r}.",
-                code="H3-FILE-012",
-            )
+            raise InputError(f"Expected the name of a module to trust, such as my_package.my_task, got {module!r}.")
     os.environ[TRUST_VARIABLE] = ",".join(dict.fromkeys([*_trusted(), *modules]))
 
 
@@ -220,8 +217,7 @@ class Registry(Generic[T]):
                     raise
         raise InputError(
             f"The {self.what} {name!r} needs the package {missing}, which this installation does not have. "
-            "Hint: install h3data as a whole.",
-            code="H3-FILE-010",
+            "Hint: install h3data as a whole."
         )
 
     def names(self) -> tuple[str, ...]:
@@ -249,23 +245,21 @@ class Registry(Generic[T]):
             return self._load_built_in(name)
         claims = self._third_party().get(name, [])
         if len(claims) > 1:
-            raise PluginError(self._conflict(name, claims), code="H3-FILE-013")
+            raise PluginError(self._conflict(name, claims))
         if claims:
             return self._load(claims[0])
         if REFERENCE.fullmatch(name):
             for entry in (one for claims in self._third_party().values() for one in claims if one.value == name):
                 return self._load(entry)  # installed, only named in full
             if _FROM_DATA.get() and not is_trusted(name):
-                raise UntrustedNameError(self._untrusted(name), code="H3-FILE-014")
+                raise UntrustedNameError(self._untrusted(name))
             if not _FROM_DATA.get():
                 trust(name.partition(":")[0])  # whoever names it runs it: files may name it too from now on
             if os.getcwd() not in sys.path:
                 sys.path.append(os.getcwd())  # only now, after everything that is installed: see h3data docs sharing
             return self._load(Plugin(name, name))
         known = self.names()
-        raise InputError(
-            f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}", code="H3-FILE-011"
-        )
+        raise InputError(f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}")
 
     def load_all(self) -> dict[str, T]:
         """Returns every object by name; warns about plug-ins that cannot be loaded and leaves them out."""
@@ -314,16 +308,13 @@ class Registry(Generic[T]):
             by_reference = not entry.distribution and isinstance(fault, ModuleNotFoundError)
             hint = " Hint: the module must be installed or its folder on PYTHONPATH." if by_reference else ""
             raise PluginError(
-                f"The {self.what} {self._origin(entry)} cannot be imported: {type(fault).__name__}: {fault}.{hint}",
-                code="H3-FILE-015",
+                f"The {self.what} {self._origin(entry)} cannot be imported: {type(fault).__name__}: {fault}.{hint}"
             ) from fault
         if self._check is not None:
             try:
                 self._check(loaded)
             except InputError as fault:
-                raise PluginError(
-                    f"The {self.what} {self._origin(entry)} is not usable: {fault}", code="H3-FILE-016"
-                ) from fault
+                raise PluginError(f"The {self.what} {self._origin(entry)} is not usable: {fault}") from fault
         return loaded
 
     def _origin(self, entry: Plugin) -> str:

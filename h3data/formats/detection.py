@@ -20,18 +20,16 @@ from h3data.plugins import PluginWarning, Registry, load_reference
 
 def _check(loaded: Any) -> None:
     if not isinstance(loaded, Format):
-        raise InputError(f"expected an h3data.formats.Format, got {type(loaded).__name__}.", code="H3-FORMAT-002")
+        raise InputError(f"expected an h3data.formats.Format, got {type(loaded).__name__}.")
     for field in ("name", "title"):
         if not isinstance(getattr(loaded, field), str) or not getattr(loaded, field):
-            raise InputError(f"the field {field!r} must be a text that is not empty.", code="H3-FORMAT-005")
+            raise InputError(f"the field {field!r} must be a text that is not empty.")
     if loaded.read is None and loaded.write is None:
-        raise InputError("one of the fields 'read' and 'write' must be given.", code="H3-FORMAT-003")
+        raise InputError("one of the fields 'read' and 'write' must be given.")
     for field in ("read", "write"):
         value = getattr(loaded, field)
         if not (value is None or callable(value) or (isinstance(value, str) and ":" in value)):
-            raise InputError(
-                f"the field {field!r} must be a function or module:name, got {value!r}.", code="H3-FORMAT-006"
-            )
+            raise InputError(f"the field {field!r} must be a function or module:name, got {value!r}.")
 
 
 FORMATS: Registry[Format] = Registry(
@@ -55,8 +53,7 @@ def load(chosen: Format, field: Literal["read", "write"]) -> Callable[..., Any]:
     except Exception as fault:  # a plug-in's module can raise anything
         raise PluginError(
             f"The field {field!r} of the file format {FORMATS.origin(chosen.name)} cannot be imported from {function}: "
-            f"{type(fault).__name__}: {fault}.",
-            code="H3-FORMAT-007",
+            f"{type(fault).__name__}: {fault}."
         ) from fault
 
 
@@ -179,9 +176,6 @@ def export_format(name: str) -> Format:
     if name.lower() in ("habitat", "scene", "scenes"):
         raise InputError(
             f"Cannot export to {name!r}. Hint: `h3data scenes export` writes scenes for Habitat; --to habitat-episodes writes "
-            "the episodes of recordings, --to gfx-replay one recording.",
-            code="H3-FORMAT-004",
+            "the episodes of recordings, --to gfx-replay one recording."
         )
-    raise InputError(
-        f"Cannot export to {name!r}.{suggest(name, options, more='; or module:name')}", code="H3-FORMAT-001"
-    )
+    raise InputError(f"Cannot export to {name!r}.{suggest(name, options, more='; or module:name')}")

@@ -86,9 +86,7 @@ class Renderer:
             MissingExtraError: the back end cannot run here; the message says what is missing.
         """
         if worlds < 1 or threads < 1:
-            raise InputError(
-                f"A renderer needs at least one world and one thread, got {worlds} and {threads}.", code="H3-RENDER-055"
-            )
+            raise InputError(f"A renderer needs at least one world and one thread, got {worlds} and {threads}.")
         self.scene = scene
         self.light = light or Light()
         self.world_count = worlds
@@ -105,9 +103,7 @@ class Renderer:
         if m.ndim == 2:
             m = m[None]
         if m.shape not in ((len(index), 4, 4), (len(index), 3, 4)):
-            raise InputError(
-                f"Expected {len(index)} matrices [n, 4, 4], got shape {list(m.shape)}.", code="H3-RENDER-056"
-            )
+            raise InputError(f"Expected {len(index)} matrices [n, 4, 4], got shape {list(m.shape)}.")
         self._engine.set_transforms(self._world(world), index, m[:, :3])
 
     def set_visible(self, indices: ArrayLike, visible: ArrayLike, *, world: int = 0) -> None:
@@ -121,16 +117,14 @@ class Renderer:
         if mesh not in scene.deformable:
             raise InputError(
                 f"Mesh {mesh} is not deformable (these are: {list(scene.deformable)}). "
-                "Hint: list it in RenderScene(..., deformable=...).",
-                code="H3-RENDER-057",
+                "Hint: list it in RenderScene(..., deformable=...)."
             )
         v = np.array(vertices, np.float32, order="C")
         expected = scene.meshes[mesh].vertices.shape
         if v.shape != expected or not np.isfinite(v).all():
             fault = "values that are not finite" if v.shape == expected else f"shape {list(v.shape)}"
             raise InputError(
-                f"Mesh {mesh} needs {list(expected)} finite vertices, got {fault}. Hint: hide it with set_visible.",
-                code="H3-RENDER-058",
+                f"Mesh {mesh} needs {list(expected)} finite vertices, got {fault}. Hint: hide it with set_visible."
             )
         self._engine.set_vertices(self._world(world), mesh, v)
 
@@ -145,14 +139,10 @@ class Renderer:
             if rows.ndim != 2 or rows.shape[1] != BLOCKER_WORDS or tints.shape != (count, 4):
                 raise InputError(
                     f"Blockers need rows [N, {BLOCKER_WORDS}] and tints [{count}, 4], "
-                    f"got {list(rows.shape)} and {list(tints.shape)}.",
-                    code="H3-RENDER-065",
+                    f"got {list(rows.shape)} and {list(tints.shape)}."
                 )
             if not (np.isfinite(rows).all() and np.isfinite(tints).all()):
-                raise InputError(
-                    "Blockers need finite numbers. Hint: blocker_rows leaves out capsules with NaN.",
-                    code="H3-RENDER-066",
-                )
+                raise InputError("Blockers need finite numbers. Hint: blocker_rows leaves out capsules with NaN.")
             blockers = Blockers(np.ascontiguousarray(rows, np.float32), np.ascontiguousarray(tints, np.float32))
         self._engine.set_blockers(self._world(world), blockers)
 
@@ -163,8 +153,7 @@ class Renderer:
     def _world(self, world: int) -> int:
         if not 0 <= world < self.world_count:
             raise InputError(
-                f"There is no world {world}: this renderer has {self.world_count}, 0 to {self.world_count - 1}.",
-                code="H3-RENDER-059",
+                f"There is no world {world}: this renderer has {self.world_count}, 0 to {self.world_count - 1}."
             )
         return int(world)
 
@@ -174,7 +163,7 @@ class Renderer:
         if index.size == 0:
             return np.zeros(0, np.intp)
         if index.ndim != 1 or index.dtype.kind not in "iu" or index.min() < 0 or index.max() >= count:
-            raise InputError(f"Expected instance indices from 0 to {count - 1}, got {indices!r}.", code="H3-RENDER-060")
+            raise InputError(f"Expected instance indices from 0 to {count - 1}, got {indices!r}.")
         return index.astype(np.intp)
 
     # --- images ---------------------------------------------------------------------------------------------------
@@ -212,23 +201,17 @@ class Renderer:
         """Images of N cameras of one size, each in its own world (default 0), as in `render`, each [N, H, W, ...]."""
         check_outputs(outputs)
         if samples not in (1, 4):
-            raise InputError(f"samples must be 1 or 4, got {samples!r}.", code="H3-RENDER-032")
+            raise InputError(f"samples must be 1 or 4, got {samples!r}.")
         if not cameras:
-            raise InputError("A batch needs at least one camera.", code="H3-RENDER-061")
+            raise InputError("A batch needs at least one camera.")
         for camera in cameras:
             camera.checked()
         sizes = sorted({(camera.width, camera.height) for camera in cameras})
         if len(sizes) > 1:
-            raise InputError(
-                f"The cameras of a batch must have one size, got {sizes}. Hint: one batch per size.",
-                code="H3-RENDER-062",
-            )
+            raise InputError(f"The cameras of a batch must have one size, got {sizes}. Hint: one batch per size.")
         world_of_camera = [0] * len(cameras) if worlds is None else [self._world(world) for world in worlds]
         if len(world_of_camera) != len(cameras):
-            raise InputError(
-                f"Expected one world for each of {len(cameras)} cameras, got {len(world_of_camera)}.",
-                code="H3-RENDER-063",
-            )
+            raise InputError(f"Expected one world for each of {len(cameras)} cameras, got {len(world_of_camera)}.")
         return self._engine.render(cameras, world_of_camera, outputs, samples, out)
 
     def __repr__(self) -> str:
@@ -253,9 +236,7 @@ def gpu_fault() -> str:
 
 def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads: int) -> tuple[Backend, Engine]:
     if backend not in get_args(Backend):
-        raise InputError(
-            f"Unknown back end {backend!r}. Available: {', '.join(get_args(Backend))}.", code="H3-RENDER-054"
-        )
+        raise InputError(f"Unknown back end {backend!r}. Available: {', '.join(get_args(Backend))}.")
     if backend in ("auto", "gpu"):
         gpu, fault = _gpu_engines()
         if not fault and backend == "auto":
@@ -263,9 +244,7 @@ def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads
         if not fault:
             return "gpu", gpu.GpuEngine(scene, light=light, worlds=worlds)
         if backend == "gpu":
-            raise MissingExtraError(
-                f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.", code="H3-RENDER-064"
-            )
+            raise MissingExtraError(f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.")
     from h3data.render.hybrid import HybridEngine
 
     only_rays = backend == "rays"

@@ -95,9 +95,7 @@ class Contrast:
     def ratio(self) -> tuple[float, float, float]:
         """exp(difference) with its interval: the ratio of the means (Poisson) or of the odds (binomial); ``link`` only."""
         if self.scale != "link":
-            raise InputError(
-                "A ratio needs contrasts on the link scale: contrasts(means, scale='link').", code="H3-STATS-036"
-            )
+            raise InputError("A ratio needs contrasts on the link scale: contrasts(means, scale='link').")
         return tuple(float(np.exp(v)) for v in (self.difference, self.low, self.high))  # type: ignore[return-value]
 
 
@@ -140,8 +138,7 @@ def contrasts(
     check_confidence(confidence)
     if scale not in ("link", "response") or adjust not in ("tukey", "holm", "none"):
         raise InputError(
-            f"Expected scale link or response and adjust tukey, holm or none; got {scale!r} and {adjust!r}.",
-            code="H3-STATS-033",
+            f"Expected scale link or response and adjust tukey, holm or none; got {scale!r} and {adjust!r}."
         )
     count = len(means.levels)
     pairs = list(itertools.combinations(range(count), 2))
@@ -186,15 +183,9 @@ def relative_efficiency(
 
     check_confidence(confidence)
     if means.family != "poisson":
-        raise InputError(
-            "Relative efficiency is a ratio of steps: expected means of a Poisson model, got binomial.",
-            code="H3-STATS-034",
-        )
+        raise InputError("Relative efficiency is a ratio of steps: expected means of a Poisson model, got binomial.")
     if baseline not in means.levels:
-        raise InputError(
-            f"No level {baseline!r} in {means.factor!r}. Its levels are: {', '.join(means.levels)}.",
-            code="H3-STATS-035",
-        )
+        raise InputError(f"No level {baseline!r} in {means.factor!r}. Its levels are: {', '.join(means.levels)}.")
     base = means.levels.index(baseline)
     result = []
     for k, level in enumerate(means.levels):

@@ -31,9 +31,7 @@ def curve_of(folder: Path) -> list[Row]:
     """
     path = folder / CURVE
     if not path.is_file():
-        raise InputError(
-            f"Expected the folder of a training run, found no {CURVE}. Folder: {folder}", code="H3-TRAIN-019"
-        )
+        raise InputError(f"Expected the folder of a training run, found no {CURVE}. Folder: {folder}")
     return pq.read_table(path.absolute()).to_pylist()  # a relative path may look like a URI
 
 

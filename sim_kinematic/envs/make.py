@@ -231,17 +231,14 @@ def _make(
     found = find_task(task)
     if device is not None:
         if flatten:
-            raise InputError(
-                "Observations on a torch device are tensors by name. Hint: leave out flatten or device.",
-                code="H3-ENV-019",
-            )
+            raise InputError("Observations on a torch device are tensors by name. Hint: leave out flatten or device.")
         return _on_device(found, scenes, num_envs, device, agents, options)
     from sim_kinematic.envs.stepper import FlatStepper, ManySteppers, Options
 
     if isinstance(agents, str):
         agents = (agents,)
     if len(agents) > 1 and num_envs is not None:
-        raise InputError("An environment of two agents has one world. Hint: leave out num_envs.", code="H3-ENV-018")
+        raise InputError("An environment of two agents has one world. Hint: leave out num_envs.")
     stepper_class = _stepper_class(found)
     if "agent" in options:
         agents = (options.pop("agent"),)
@@ -287,10 +284,7 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
     known += [*shared, *task.env_options, "num_envs", "device", "render_mode", "flatten"]
     for name in options:
         if name not in known:
-            raise InputError(
-                f"Unknown option {name!r} of {task.name}.{suggest(name, known, lead='Expected some of')}",
-                code="H3-ENV-020",
-            )
+            raise InputError(f"Unknown option {name!r} of {task.name}.{suggest(name, known, lead='Expected some of')}")
 
 
 def _on_device(

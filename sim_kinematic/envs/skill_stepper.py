@@ -84,17 +84,13 @@ class SkillStepper:
             InputError: a name does not exist.
         """
         if not agents or not set(agents) <= set(KINDS) or len(set(agents)) < len(agents):
-            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.", code="H3-ENV-002")
+            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.")
         if level not in get_args(Level):
-            raise InputError(
-                f"Unknown level {level!r}. Expected one of: {', '.join(get_args(Level))}.", code="H3-ENV-025"
-            )
+            raise InputError(f"Unknown level {level!r}. Expected one of: {', '.join(get_args(Level))}.")
         if level == "low" and "robot" not in agents:
-            raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.", code="H3-ENV-026")
+            raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.")
         if len(agents) == len(KINDS) and partner is not None:
-            raise InputError(
-                "Both agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-003"
-            )
+            raise InputError("Both agents are told from outside, so there is no partner. Hint: leave out partner.")
         self.task, self.agents = task, tuple(agents)
         self.source = EpisodeSource(task, scenes, spec=spec, robot=robot, human=human)
         self.spec = self.source.spec
@@ -234,12 +230,12 @@ class SkillStepper:
     # --- inside -------------------------------------------------------------------------------------------------------
     def _begun(self) -> RearrangeRollout:
         if self.play is None:
-            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
+            raise InputError("No episode has begun. Hint: call reset() first.")
         return self.play
 
     def _playing(self) -> RearrangeRollout:
         if self.play is None or self.is_over:
-            raise InputError("No episode is going on. Hint: call reset() first.", code="H3-ENV-027")
+            raise InputError("No episode is going on. Hint: call reset() first.")
         return self.play
 
     def _chosen(self, agent: str, action: ArrayLike) -> Action:
@@ -254,9 +250,7 @@ class SkillStepper:
         there = self._choices[agent]
         if number.shape != (1,) or number.dtype.kind not in "iu" or not 0 <= number[0] < len(there):
             shown = number[0] if number.shape == (1,) else action
-            raise InputError(
-                f"Expected the number of an action, 0 to {len(there) - 1}, got {shown!r}.", code="H3-ENV-028"
-            )
+            raise InputError(f"Expected the number of an action, 0 to {len(there) - 1}, got {shown!r}.")
         return there[int(number[0])]
 
     def _go_on(self, chosen: dict[int, Action]) -> None:

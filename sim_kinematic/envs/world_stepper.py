@@ -83,9 +83,7 @@ class WorldStepper:
         names = [member.name for member in self.source.roster]
         strangers = [agent for agent in agents if agent not in names]
         if strangers or not agents or len(set(agents)) < len(agents):
-            raise InputError(
-                f"Expected agents that act, some of {', '.join(names)}; got {tuple(agents)!r}.", code="H3-ENV-033"
-            )
+            raise InputError(f"Expected agents that act, some of {', '.join(names)}; got {tuple(agents)!r}.")
         self.agents = tuple(agents)
         self.numbers = {agent: names.index(agent) for agent in agents}
         self._others = [k for k in range(len(names)) if k not in self.numbers.values()]
@@ -142,7 +140,7 @@ class WorldStepper:
             for agent, action in actions.items()
         }
         if not self.play.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
+            raise InputError("No episode has begun. Hint: call reset() first.")
         commands = [
             DriveCommand(given[k]) if k in given else self._other_command(k) for k in range(len(self.source.roster))
         ]
@@ -204,7 +202,7 @@ class WorldStepper:
     def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
         """Picture of one world for people who watch, uint8 [480, 640, 3]."""
         if not self.play.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
+            raise InputError("No episode has begun. Hint: call reset() first.")
         return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:

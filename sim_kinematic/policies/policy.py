@@ -90,8 +90,7 @@ class External:
     def act(self, view: Any) -> Any:
         """Never asked: a session answers for it."""
         raise InputError(
-            f"Agent {getattr(view, 'agent', '')} is controlled from outside. Hint: play it with h3data.session.",
-            code="H3-POLICY-037",
+            f"Agent {getattr(view, 'agent', '')} is controlled from outside. Hint: play it with h3data.session."
         )
 
     def interrupts(self, view: Any) -> str:

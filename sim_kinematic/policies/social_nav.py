@@ -197,10 +197,7 @@ def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
         InputError: nobody knows their future: they do not follow the script of an episode.
     """
     if view.future is None:
-        raise InputError(
-            "future_oracle needs the person's future, known of scripted and recorded people alone.",
-            code="H3-POLICY-062",
-        )
+        raise InputError("future_oracle needs the person's future, known of scripted and recorded people alone.")
     future = view.future()
     walk = np.concatenate([future[:ESCAPE_STEPS], np.repeat(future[-1:], max(ESCAPE_STEPS - len(future), 0), axis=0)])
     if not view.met and view.geodesic_m > REACH_M:
@@ -285,9 +282,7 @@ def policy_by_name(name: str) -> Policy:
     name = EARLIER_NAMES.get(name, name)
     if name not in POLICIES:
         there = [*POLICIES, *SHIPPED_IN["social_nav"]]
-        raise InputError(
-            f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-038"
-        )
+        raise InputError(f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}")
     return POLICIES[name]
 
 

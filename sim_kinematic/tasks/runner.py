@@ -216,7 +216,7 @@ class Session:
         """
         name = agent if agent in self._numbers else agent.replace("person", "human", 1)
         if name not in self._numbers:
-            raise InputError(f"Nobody is called {agent!r}.{suggest(agent, self._numbers)}", code="H3-TASK-045")
+            raise InputError(f"Nobody is called {agent!r}.{suggest(agent, self._numbers)}")
         return self._numbers[name]
 
     @property
@@ -263,9 +263,7 @@ class Session:
         number = self.number(agent)
         if number not in self._inboxes:
             name = self.policies[number].name
-            raise InputError(
-                f"{agent} follows the policy {name}. Hint: give it External() to control it.", code="H3-TASK-046"
-            )
+            raise InputError(f"{agent} follows the policy {name}. Hint: give it External() to control it.")
         return number, self._inboxes[number]
 
     def step(self) -> StepResult:
@@ -278,10 +276,7 @@ class Session:
             InputError: the episode is over.
         """
         if self.ended:
-            raise InputError(
-                f"The episode has ended ({self.play.ended}). Hint: session.close() gives its recording.",
-                code="H3-TASK-047",
-            )
+            raise InputError(f"The episode has ended ({self.play.ended}). Hint: session.close() gives its recording.")
         if self._turns is None:
             self._turns = DecisionLoop(self.play)
         else:  # only now: a command that has come since may interrupt a running skill

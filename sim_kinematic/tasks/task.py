@@ -228,9 +228,9 @@ class Task:
         if not hasattr(choice, "forward") and np.shape(choice) == (2,):
             choice = Velocity(float(choice[0]), float(choice[1]))
         if not (hasattr(choice, "forward") and hasattr(choice, "turn")):
-            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064")
+            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.")
         if not np.isfinite([choice.forward, choice.turn]).all():
-            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
+            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.")
         return choice
 
     def idle_choice(self, play: Rollout, number: int, last: Any) -> Any:
@@ -389,8 +389,7 @@ class Task:
             elif policy is None:
                 raise InputError(
                     f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
-                    "from outside: nothing says how they decided.",
-                    code="H3-TASK-066",
+                    "from outside: nothing says how they decided."
                 )
             policies.append(assigned._replace(policy=policy))
         return policies
@@ -445,26 +444,20 @@ def restored(task: Task, recording: Recording, scene: Callable[[float, float], t
     info, agents = recording.episode.info, recording.agents
     lacks = [name for name in ("spec", "starts") if name not in info]
     if lacks:
-        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023")
+        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
     try:
         spec = msgspec.convert({"robot": {}, "human": {}, **info["spec"]}, task.Spec)
         starts = np.array(msgspec.convert(info["starts"], list[tuple[float, float, float]]), np.float64)
     except (msgspec.ValidationError, TypeError) as fault:
-        raise InputError(
-            f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
-        ) from None
+        raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
     if not 0 < spec.max_steps <= MAX_STEPS:
-        raise InputError(
-            f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.", code="H3-TASK-063"
-        )
+        raise InputError(f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.")
     roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
     if [member.kind for member in roster] != [agent.kind for agent in agents]:
-        raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.", code="H3-TASK-024")
+        raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.")
     home, free = scene(spec.agent_radius_m, spec.agent_height_m)
     if starts.shape != (len(agents), 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
-        raise InputError(
-            f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.", code="H3-TASK-027"
-        )
+        raise InputError(f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.")
     return Episode(
         scene=home,
         free=free,

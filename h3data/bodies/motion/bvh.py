@@ -93,12 +93,11 @@ def read_bvh_file(path: str | Path) -> Bvh:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise FormatError(
-                f"A BVH file of {path.stat().st_size >> 20} MiB is more than the {MAX_BYTES >> 20} admitted: {path}",
-                code="H3-BODY-015",
+                f"A BVH file of {path.stat().st_size >> 20} MiB is more than the {MAX_BYTES >> 20} admitted: {path}"
             )
         text = path.read_bytes().decode("utf-8-sig", errors="replace")
     except OSError as error:
-        raise InputError(f"Cannot read a BVH file ({error.strerror or error}): {path}", code="H3-BODY-016") from None
+        raise InputError(f"Cannot read a BVH file ({error.strerror or error}): {path}") from None
     return parse_bvh(text, str(path))
 
 
@@ -177,12 +176,12 @@ class _Reader:
         return text
 
     def fault(self, text: str) -> FormatError:
-        return FormatError(f"BVH line {self.row}: {text}: {self.where}", code="H3-BODY-013")
+        return FormatError(f"BVH line {self.row}: {text}: {self.where}")
 
 
 def _hierarchy(reader: _Reader) -> tuple[BvhJoint, ...]:
     if not reader.peek():
-        raise FormatError(f"Expected a BVH file, this one is empty: {reader.where}", code="H3-BODY-014")
+        raise FormatError(f"Expected a BVH file, this one is empty: {reader.where}")
     reader.expect("HIERARCHY")
     joints: list[BvhJoint] = []
     names: set[str] = set()

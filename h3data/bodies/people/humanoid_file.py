@@ -72,26 +72,21 @@ def load_humanoid(name: str | Path) -> Humanoid:
     else:
         before, _, after = body.partition(SEPARATOR)
         if before in humanoid_names() or is_random(before) or before.endswith(".npz"):
-            raise InputError(f"No outfit {after!r}.{suggest(after, OUTFITS, lead='There are')}", code="H3-BODY-079")
+            raise InputError(f"No outfit {after!r}.{suggest(after, OUTFITS, lead='There are')}")
         near = suggest(body, humanoid_names(), lead="There are", more=", and random:SEED")
-        raise InputError(f"No built-in humanoid {body!r}.{near}", code="H3-BODY-072")
+        raise InputError(f"No built-in humanoid {body!r}.{near}")
     data = read_arrays(path, FILE_FORMAT)
     try:
         if "full_faces" not in data and str(data["common"]) != builtin_common().name:
             raise FormatError(
                 f"The humanoid was baked on another topology ({data['common']}) than the built-in one "
-                f"({builtin_common().name}). Hint: bake it again. File: {path}",
-                code="H3-BODY-073",
+                f"({builtin_common().name}). Hint: bake it again. File: {path}"
             )
         return _humanoid(data, outfit)
     except KeyError as error:
-        raise FormatError(
-            f"The humanoid file lacks the array {error}. Hint: bake it again. File: {path}", code="H3-BODY-074"
-        ) from error
+        raise FormatError(f"The humanoid file lacks the array {error}. Hint: bake it again. File: {path}") from error
     except (ValueError, IndexError, TypeError) as error:
-        raise FormatError(
-            f"The humanoid file is damaged ({error}). Hint: bake it again. File: {path}", code="H3-BODY-075"
-        ) from error
+        raise FormatError(f"The humanoid file is damaged ({error}). Hint: bake it again. File: {path}") from error
 
 
 def read_arrays(path: Path, expected: str) -> dict[str, NDArray[Any]]:
@@ -100,16 +95,12 @@ def read_arrays(path: Path, expected: str) -> dict[str, NDArray[Any]]:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
     except FileNotFoundError:
-        raise InputError(f"Expected a humanoid file, found none there: {path}", code="H3-BODY-076") from None
+        raise InputError(f"Expected a humanoid file, found none there: {path}") from None
     except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise FormatError(
-            f"Expected a humanoid file ({expected}), this is none ({error}): {path}", code="H3-BODY-077"
-        ) from error
+        raise FormatError(f"Expected a humanoid file ({expected}), this is none ({error}): {path}") from error
     found = str(data.get("format", "another npz file"))
     if found != expected:
-        raise FormatError(
-            f"Expected a humanoid file ({expected}), got {found}. Hint: bake it again. File: {path}", code="H3-BODY-070"
-        )
+        raise FormatError(f"Expected a humanoid file ({expected}), got {found}. Hint: bake it again. File: {path}")
     return data
 
 
@@ -135,10 +126,7 @@ def builtin_common() -> _Common:
 def _capsule_places(data: Arrays) -> dict[str, Any]:
     names = tuple(str(n) for n in data["joint_names"])
     if names != JOINT_NAMES:
-        raise FormatError(
-            f"Expected the {len(JOINT_NAMES)} SMPL-X joints in their order, got {len(names)} others.",
-            code="H3-BODY-071",
-        )
+        raise FormatError(f"Expected the {len(JOINT_NAMES)} SMPL-X joints in their order, got {len(names)} others.")
     return {
         "capsule_names": tuple(str(n) for n in data["capsule_names"]),
         "capsule_joints": tuple(int(j) for j in data["capsule_joints"]),
@@ -164,9 +152,7 @@ def _humanoid(data: Arrays, outfit: str) -> Humanoid:
     height = float(data["height_m"])
     if "full_faces" in data:
         if outfit:
-            raise InputError(
-                f"The body {data['name']} has a mesh of its own, which wears nothing else.", code="H3-BODY-078"
-            )
+            raise InputError(f"The body {data['name']} has a mesh of its own, which wears nothing else.")
         places = _capsule_places(data)
         drawn: dict[str, Any] = {part: _own_mesh(data, part) for part in ("full", "lod")}
         drawn |= {"region_names": tuple(str(n) for n in data["region_names"])}

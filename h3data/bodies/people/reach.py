@@ -117,10 +117,7 @@ def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResul
     solver = reacher(body, hand)
     point = _points(target)
     if point.shape != (3,):
-        raise InputError(
-            f"Expected one target of shape [3], got {list(point.shape)}. Hint: reach_poses takes many.",
-            code="H3-BODY-080",
-        )
+        raise InputError(f"Expected one target of shape [3], got {list(point.shape)}. Hint: reach_poses takes many.")
     poses = solver.poses(point[None])
     if poses.status[0] == kernel.REACHED:
         return ReachResult(
@@ -163,7 +160,7 @@ def grasp_point(body: Humanoid, hand: Hand) -> Array:
 def reacher(body: Humanoid, hand: Hand = "right") -> ReachSolver:
     """The solver of one hand, made once per body (5 ms)."""
     if hand not in HANDS:
-        raise InputError(f"Expected the left or the right hand, got {hand!r}.", code="H3-BODY-081")
+        raise InputError(f"Expected the left or the right hand, got {hand!r}.")
     return ReachSolver(body, hand)
 
 
@@ -190,8 +187,7 @@ def reach_table() -> Table:
     values = (data["values"] * data["unit"]).astype(np.float32)
     if values.ndim != 4 or values.shape[3] != kernel.PARAMETER_COUNT:
         raise FormatError(
-            f"The table of reaching postures has the shape {list(values.shape)}. Hint: bake it. File: {path}",
-            code="H3-BODY-082",
+            f"The table of reaching postures has the shape {list(values.shape)}. Hint: bake it. File: {path}"
         )
     return Table(values, data["low"].astype(np.float64), data["step"].astype(np.float64))
 
@@ -234,10 +230,7 @@ class ReachSolver:
             points = np.stack([points[:, 2], points[:, 1], -points[:, 0]], axis=1)
             self._valid = points[self.reachable(points)]
             if not len(self._valid):
-                raise InputError(
-                    "This body reaches nothing with this hand. Hint: are its joint offsets in metres?",
-                    code="H3-BODY-084",
-                )
+                raise InputError("This body reaches nothing with this hand. Hint: are its joint offsets in metres?")
         return self._valid
 
     def nearest_valid(self, target: Array) -> Array:
@@ -286,10 +279,7 @@ def _each(share: ArrayLike, count: int) -> Array:
 def _points(targets: ArrayLike) -> Array:
     points = np.asarray(targets, np.float64)
     if points.ndim not in (1, 2) or points.shape[-1] != 3 or not np.isfinite(points).all():
-        raise InputError(
-            f"Expected finite points of shape [3] or [T, 3], got shape {list(points.shape)}: {targets!r}",
-            code="H3-BODY-083",
-        )
+        raise InputError(f"Expected finite points of shape [3] or [T, 3], got shape {list(points.shape)}: {targets!r}")
     return points
 
 

@@ -36,8 +36,7 @@ def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path])
             listed = ", ".join(map(str, distinct[:_LISTED])) + (", ..." if len(distinct) > _LISTED else "")
             raise SceneError(
                 f"{len(distinct)} files fit the object handle {name!r}: {listed}. "
-                "Hint: give the folder of one dataset only (assets=[DIR]).",
-                code="H3-HABITAT-116",
+                "Hint: give the folder of one dataset only (assets=[DIR])."
             )
         if distinct:
             return distinct[0]
@@ -62,10 +61,7 @@ def template_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
     rigid = reader.rigid(Template(handle=name, path=file))
     if rigid is None:
         why = [*reader.warnings, *(f"{missing!r} was not found" for missing in files.missing)]
-        raise SceneError(
-            f"The object template {name!r} cannot be used: {'; '.join(why) or 'it is jointed'}: {file}",
-            code="H3-HABITAT-115",
-        )
+        raise SceneError(f"The object template {name!r} cannot be used: {'; '.join(why) or 'it is jointed'}: {file}")
     mesh = reader.assets[rigid.asset].mesh
     placed = mesh.vertices * rigid.scale - rigid.origin(rigid.scale)
     return replace(mesh, vertices=placed.astype(np.float32))

@@ -49,8 +49,7 @@ class ReferencedFiles:
         if outside is not None:
             raise SceneError(
                 f"{name!r} leads out of the dataset, so it is not opened. Hint: give the folder that holds it as an asset "
-                f"folder (assets=[DIR] or H3DATA_ASSETS). {outside}",
-                code="H3-HABITAT-118",
+                f"folder (assets=[DIR] or H3DATA_ASSETS). {outside}"
             )
         self.missing[name] = (*tried, *self._folders.roots)
         return None

@@ -364,6 +364,4 @@ def plan_large_zoning(spec: HomeSpec, attempt: int, sound: Callable[[Zoning], bo
                     break
         if best is not None:
             return best[1]
-    raise SceneError(
-        f"No acceptable plan for {spec} after 3 x {_TRIALS} trials. Hint: use another seed.", code="H3-SCENE-037"
-    )
+    raise SceneError(f"No acceptable plan for {spec} after 3 x {_TRIALS} trials. Hint: use another seed.")

@@ -83,11 +83,9 @@ class Demo:
         from h3data.metrics import measure_many
 
         if self.steps < 1:
-            raise InputError(f"--steps must be at least 1, got {self.steps}.", code="H3-OPTION-029")
+            raise InputError(f"--steps must be at least 1, got {self.steps}.")
         if not 0 < self.human_speed <= 4:
-            raise InputError(
-                f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.", code="H3-OPTION-030"
-            )
+            raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
         size = parse_size(self.size)
         out = claim_folder(self.out, force=self.force)
         if self.force:

@@ -143,7 +143,7 @@ def files_of(policy: str) -> tuple[str, ...]:
         return (policy,)
     found = sorted(path for path in glob.glob(pattern, recursive=True) if Path(path).is_file())
     if not found:
-        raise InputError(f"No file of weights fits this pattern: {policy}", code="H3-JOB-031")
+        raise InputError(f"No file of weights fits this pattern: {policy}")
     return tuple(PREFIX + path for path in found)
 
 
@@ -168,7 +168,7 @@ def chosen_names(option: str, asked: Sequence[str], there: Sequence[str]) -> tup
             more=", weights:FILE, module:name, or all",
         )
         hint = weights_hint(strangers[0]) if strangers else ""
-        raise InputError(f"{option}: unknown {', '.join(strangers) or 'nothing'}.{near}{hint}", code="H3-JOB-032")
+        raise InputError(f"{option}: unknown {', '.join(strangers) or 'nothing'}.{near}{hint}")
     return tuple(map(stamped, names))
 
 

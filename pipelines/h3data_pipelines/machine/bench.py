@@ -110,16 +110,12 @@ class Bench:
 
         if self.group != "sim":
             raise InputError(
-                f"Unknown benchmark {self.group!r}. Expected: sim. Hint: the others run in a checkout: make bench.",
-                code="H3-MACHINE-004",
+                f"Unknown benchmark {self.group!r}. Expected: sim. Hint: the others run in a checkout: make bench."
             )
         if self.runs < 1:
-            raise InputError(f"--runs must be at least 1, got {self.runs}.", code="H3-MACHINE-005")
+            raise InputError(f"--runs must be at least 1, got {self.runs}.")
         if self.steps <= UNTIMED:
-            raise InputError(
-                f"--steps must be more than {UNTIMED}, the steps that are not timed; got {self.steps}.",
-                code="H3-MACHINE-006",
-            )
+            raise InputError(f"--steps must be more than {UNTIMED}, the steps that are not timed; got {self.steps}.")
         chosen: Any = product(  # texts that `_names` has checked
             _names("--homes", self.homes, HOMES),
             _numbers("--objects", self.objects, OBJECTS),
@@ -134,20 +130,16 @@ class Bench:
             if body == "skinned" or "human" in agents  # robots have no skin
         ]
         if not cells:
-            raise InputError(
-                "Nothing is left to measure: robots have no skin. Hint: --bodies skinned.", code="H3-MACHINE-007"
-            )
+            raise InputError("Nothing is left to measure: robots have no skin. Hint: --bodies skinned.")
         return cells
 
     def processes(self) -> int:
         """Largest number of processes that share the worlds."""
         if self.cores is not None and self.cores < 1:
-            raise InputError(f"--cores must be at least 1, got {self.cores}.", code="H3-MACHINE-008")
+            raise InputError(f"--cores must be at least 1, got {self.cores}.")
         if self.backend == "gpu":
             if self.cores not in (None, 1):
-                raise InputError(
-                    "With --backend gpu one process renders all worlds. Hint: leave out --cores.", code="H3-MACHINE-009"
-                )
+                raise InputError("With --backend gpu one process renders all worlds. Hint: leave out --cores.")
             return 1
         return self.cores or len(os.sched_getaffinity(0))
 
@@ -271,9 +263,7 @@ def _check_gpu() -> None:
     from h3data.errors import MissingExtraError
 
     if not torch.cuda.is_available():
-        raise MissingExtraError(
-            "--backend gpu needs a CUDA device, and PyTorch finds none. Hint: --backend cpu.", code="H3-MACHINE-001"
-        )
+        raise MissingExtraError("--backend gpu needs a CUDA device, and PyTorch finds none. Hint: --backend cpu.")
 
 
 def _table(rows: Iterable[dict[str, Any]]) -> list[str]:
@@ -304,8 +294,7 @@ def _names(option: str, given: tuple[str, ...], choices: tuple[str, ...]) -> tup
     unknown = [name for name in names if name not in choices]
     if unknown:
         raise InputError(
-            f"{option}: unknown {', '.join(map(repr, unknown))}. Expected some of: {', '.join(choices)}; or all.",
-            code="H3-MACHINE-002",
+            f"{option}: unknown {', '.join(map(repr, unknown))}. Expected some of: {', '.join(choices)}; or all."
         )
     return names
 
@@ -313,7 +302,5 @@ def _names(option: str, given: tuple[str, ...], choices: tuple[str, ...]) -> tup
 def _numbers(option: str, given: tuple[str, ...], usual: tuple[str, ...]) -> tuple[int, ...]:
     words = usual if given == (ALL,) else tuple(dict.fromkeys(given))
     if not all(word.isascii() and word.isdecimal() and int(word) >= 1 for word in words):
-        raise InputError(
-            f"{option}: expected positive whole numbers, or all; got {', '.join(given)!r}.", code="H3-MACHINE-020"
-        )
+        raise InputError(f"{option}: expected positive whole numbers, or all; got {', '.join(given)!r}.")
     return tuple(map(int, words))

@@ -111,16 +111,12 @@ class View:
         """Writes the file whose ending names its format."""
         form = ".rrd" if self.out is None else self.out.suffix.lower()
         if form not in (".rrd", ".html", *PICTURES):
-            raise InputError(
-                f"Expected a file name that ends in .rrd, .html, .png or .jpg, got: {self.out}", code="H3-RENDER-095"
-            )
+            raise InputError(f"Expected a file name that ends in .rrd, .html, .png or .jpg, got: {self.out}")
         if form == ".rrd":
             return self._rrd()
         if self.compare is not None or self.cameras:
             option = "--compare" if self.compare is not None else "--camera"
-            raise InputError(
-                f"{option} needs a Rerun file: give -o a name that ends in .rrd. Got: {self.out}", code="H3-RENDER-096"
-            )
+            raise InputError(f"{option} needs a Rerun file: give -o a name that ends in .rrd. Got: {self.out}")
         return self._html() if form == ".html" else self._strip(form)
 
     def _strip(self, form: str) -> Outcome:
@@ -161,9 +157,7 @@ class View:
 
         paths = [self.recording] if self.compare is None else [self.recording, self.compare]
         if len(paths) == 2 and _same(*paths):
-            raise InputError(
-                f"--compare expects a second recording, got the first one again: {self.compare}", code="H3-RENDER-097"
-            )
+            raise InputError(f"--compare expects a second recording, got the first one again: {self.compare}")
         recordings = [open_episode(path) for path in paths]
         out = claim_file(self.out or self._beside(), force=self.force, suffix=".rrd")
         replays = [self._replay(recording, detail=False, light=self.light) for recording in recordings]
@@ -195,10 +189,7 @@ class View:
 
     def _beside(self) -> Path:
         if isinstance(place(self.recording), RemotePath):
-            raise InputError(
-                f"The recording is not local: give the .rrd file to write with -o. {self.recording}",
-                code="H3-RENDER-098",
-            )
+            raise InputError(f"The recording is not local: give the .rrd file to write with -o. {self.recording}")
         stem = recording_stem(self.recording)
         if self.compare is not None:
             stem += f"_and_{recording_stem(self.compare)}"

@@ -116,9 +116,7 @@ def encoded(
         )
         seen = np.asarray(shown.get(name, ()), np.float32)
         if seen.shape != (length,):
-            raise InputError(
-                f"Expected the observation {name} [{length}], got {list(seen.shape)}.", code="H3-POLICY-006"
-            )
+            raise InputError(f"Expected the observation {name} [{length}], got {list(seen.shape)}.")
         if encoding is None:
             each.append(seen[:own].reshape(SKILLS_WITH_OBJECT, objects).T)
             rest.append(seen[own:])
@@ -149,7 +147,7 @@ class SkillPolicyNetwork:
     def __post_init__(self) -> None:
         faults = _faults(self.card, self.arrays)
         if faults:
-            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.", code="H3-POLICY-007")
+            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.")
 
     @property
     def task(self) -> str:

@@ -38,8 +38,7 @@ def errands_of(episode: RearrangeEpisode, number: int) -> Errands:
         if episode.scene.articulations:
             raise InputError(
                 f"Oracle skills open nothing, and {episode.scene.name} has doors or drawers. Hint: other scenes, or "
-                "rules without oracle.",
-                code="H3-TASK-015",
+                "rules without oracle."
             )
         known[number] = _errands(episode, number)
     return known[number]

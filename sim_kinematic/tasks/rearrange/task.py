@@ -139,9 +139,7 @@ class Rearrange(Task):
         info, agents = recording.episode.info, recording.agents
         lacks = [name for name in ("spec", "goals") if name not in info]
         if lacks:
-            raise InputError(
-                f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023"
-            )
+            raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
         kinds = tuple(agent.kind for agent in agents)
         own = {"robot": "robot_start", "human": "human_start"}
         try:
@@ -153,32 +151,25 @@ class Rearrange(Task):
             listed = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]
             starts = np.array(msgspec.convert(listed, list[tuple[float, float, float]]), np.float64)
         except (msgspec.ValidationError, KeyError) as fault:
-            raise InputError(
-                f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
-            ) from None
+            raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
         roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
         if kinds_of(roster) != kinds:
-            raise InputError(f"Expected robots, then people, got: {list(kinds)}.", code="H3-TASK-024")
+            raise InputError(f"Expected robots, then people, got: {list(kinds)}.")
         if spec.max_steps > MAX_STEPS or len(goals) != spec.objects:
             raise InputError(
                 f"Expected at most {MAX_STEPS} steps and a goal for each of {spec.objects} objects, got "
-                f"{spec.max_steps} steps and {len(goals)} goals.",
-                code="H3-TASK-025",
+                f"{spec.max_steps} steps and {len(goals)} goals."
             )
         home, free = scene(spec.agent_radius_m, spec.agent_height_m)
         things = {instance.name for instance in home.instances}
         numbers = [[*goal.start, *goal.position] for goal in goals]
         if not all(len(n) == 10 and np.isfinite(n).all() for n in numbers) or not {g.object for g in goals} <= things:
             raise InputError(
-                "Expected goals of things in the scene, with a pose7 start and a position [3] of finite numbers.",
-                code="H3-TASK-026",
+                "Expected goals of things in the scene, with a pose7 start and a position [3] of finite numbers."
             )
         fits = starts.shape == (len(roster), 3) and np.isfinite(starts).all()
         if not fits or not free.is_navigable(starts[:, :2]).all():
-            raise InputError(
-                f"Expected starts on the free floor for {len(roster)} agents, got: {starts.tolist()}.",
-                code="H3-TASK-027",
-            )
+            raise InputError(f"Expected starts on the free floor for {len(roster)} agents, got: {starts.tolist()}.")
         first = [starts[kinds.index(kind)] if kind in kinds else np.full(3, np.nan) for kind in PAIR]
         return RearrangeEpisode(
             scene=home,
@@ -415,8 +406,7 @@ class Rearrange(Task):
             raise InputError(
                 f"People in recordings of schema 1.5 and later walk with planted feet, this one is of "
                 f"{recording.episode.schema_version}: it replays as it was recorded, but its people cannot be simulated "
-                f"again. Hint: verify or resume it with the version that made it ({recording.episode.created_by}).",
-                code="H3-TASK-028",
+                f"again. Hint: verify or resume it with the version that made it ({recording.episode.created_by})."
             )
         objects, joints = tuple(target.name for target in episode.targets), joint_names(episode.scene)
         commands, policies = recorded_commands(recording, self.choice_from_json), []
@@ -476,8 +466,7 @@ def _robot_action(command: Any, robot: Robot) -> Action:
         forward, turn = command.forward, command.turn
     else:
         raise InputError(
-            f"Expected an Action (sim_kinematic.agents.skills), a Velocity or a pair (forward, turn), got {command!r}.",
-            code="H3-TASK-029",
+            f"Expected an Action (sim_kinematic.agents.skills), a Velocity or a pair (forward, turn), got {command!r}."
         )
     return Action(CONTROL, command=(float(forward), float(turn), *[0.0] * (len(robot.require_arm()) + 1)))
 
@@ -551,8 +540,7 @@ def _track_from(recording: Recording) -> int:
     step = recording.episode.info.get("counterfactual", {}).get("track_from")
     if not isinstance(step, int) or not 0 <= step <= len(recording):
         raise InputError(
-            f"Expected counterfactual.track_from in the info, a step up to {len(recording)}, got {step!r}.",
-            code="H3-TASK-022",
+            f"Expected counterfactual.track_from in the info, a step up to {len(recording)}, got {step!r}."
         )
     return step
 

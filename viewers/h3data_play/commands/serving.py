@@ -56,18 +56,15 @@ def serving_options(
     """
     require_aiohttp(what)
     if not 0 <= port < 65536:
-        raise InputError(f"Expected a --port from 0 to 65535, got {port}.", code="H3-PLAY-006")
+        raise InputError(f"Expected a --port from 0 to 65535, got {port}.")
     if (cert is None) != (key is None):
-        raise InputError("Give both --cert and --key, or neither.", code="H3-PLAY-007")
+        raise InputError("Give both --cert and --key, or neither.")
     for file in (cert, key):
         if file is not None and not file.is_file():
-            raise InputError(f"There is no such file: {file}", code="H3-PLAY-011")
+            raise InputError(f"There is no such file: {file}")
     for name in allow_hosts:
         if re.fullmatch(r"(\*\.)?[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*\.?", name) is None:
-            raise InputError(
-                f"Expected --allow-host with a name such as study.example.org, without port, got {name}",
-                code="H3-PLAY-012",
-            )
+            raise InputError(f"Expected --allow-host with a name such as study.example.org, without port, got {name}")
     return {
         "host": host, "port": port, "cert": str(cert or ""), "key": str(key or ""), "behind_proxy": behind_proxy,
         "allow_hosts": list(allow_hosts),
@@ -81,7 +78,7 @@ def require_aiohttp(what: str) -> None:
         InputError: it is missing.
     """
     if importlib.util.find_spec("aiohttp") is None:
-        raise InputError(f"{what} needs the package aiohttp. Hint: pip install 'h3data[hitl]'", code="H3-PLAY-008")
+        raise InputError(f"{what} needs the package aiohttp. Hint: pip install 'h3data[hitl]'")
 
 
 def run_server(module: str, options: dict[str, Any], heard: Callable[[dict[str, Any]], None]) -> None:
@@ -107,9 +104,7 @@ def run_server(module: str, options: dict[str, Any], heard: Callable[[dict[str, 
         process.stdin.close()
         process.wait()
     if process.returncode:
-        raise H3DataError(
-            f"The server ended with exit code {process.returncode}; its message is above.", code="H3-PLAY-009"
-        )
+        raise H3DataError(f"The server ended with exit code {process.returncode}; its message is above.")
 
 
 @contextmanager
@@ -130,7 +125,7 @@ def started_server(module: str, options: dict[str, Any]) -> Iterator[tuple[list[
             if "ready" in report:
                 yield report["ready"]["links"], reports
                 return
-        raise H3DataError("The server ended while it started; its message is above.", code="H3-PLAY-010")
+        raise H3DataError("The server ended while it started; its message is above.")
     finally:
         process.terminate()
         process.stdin.close()

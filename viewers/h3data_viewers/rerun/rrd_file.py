@@ -112,8 +112,7 @@ def write_comparison_rrd(
         if not len(shown.recording):
             raise InputError(
                 f"Expected two recordings with steps to compare, but {label}, {_title(shown)!r}, has none. "
-                "Hint: view the other one alone.",
-                code="H3-VIEW-021",
+                "Hint: view the other one alone."
             )
     return _write_file([first, second], Path(path), images=images, skin_every=skin_every, overwrite=overwrite)
 
@@ -128,9 +127,7 @@ def _write_file(
     ready: Callable[[], object] | None = None,
 ) -> Path:
     if path.exists() and not overwrite:
-        raise InputError(
-            f"The file already exists; choose another name or pass overwrite=True: {path}", code="H3-VIEW-001"
-        )
+        raise InputError(f"The file already exists; choose another name or pass overwrite=True: {path}")
     stream = _stream(sides)
     path.parent.mkdir(parents=True, exist_ok=True)
     # Rerun's own file sink reports a full disk in its log only, and the file would be cut
@@ -141,10 +138,7 @@ def _write_file(
         content = encoded.read()  # unread data would be reported as dropped
         stream.disconnect()
     if not content:
-        raise H3DataError(
-            "Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it.",
-            code="H3-VIEW-018",
-        )
+        raise H3DataError("Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it.")
     with part_file(path) as part:
         part.write_bytes(content)
     return path
@@ -166,9 +160,7 @@ def _stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
     try:
         import rerun as rr
     except ImportError as error:
-        raise MissingExtraError(
-            'Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"', code="H3-VIEW-022"
-        ) from error
+        raise MissingExtraError('Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"') from error
     identity = " ".join(side.recording.episode.uid for side in sides)
     return rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
 
@@ -250,7 +242,7 @@ def _check_videos(feeds: Sequence[Sequence[CameraFeed]]) -> None:
     videos = [(feed.camera.name, feed.video) for group in feeds for feed in group if feed.video is not None]
     missing = [f"{name}: {video}" for name, video in videos if not video.is_file()]
     if missing:
-        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.", code="H3-VIEW-019")
+        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.")
 
 
 def _title(shown: ShownRecording) -> str:
@@ -269,10 +261,7 @@ def _named_cameras(shown: ShownRecording) -> list[CameraFeed]:
     if not shown.videos:
         return []
     if not isinstance(shown.replay, Replay):
-        raise InputError(
-            "Videos by camera name need an h3data.replay.Replay. Hint: pass cameras=[CameraFeed(...)].",
-            code="H3-VIEW-020",
-        )
+        raise InputError("Videos by camera name need an h3data.replay.Replay. Hint: pass cameras=[CameraFeed(...)].")
     tracks = {name: camera_track(shown.replay, name) for name in shown.videos}
     return [CameraFeed(camera=t.camera, poses=t.poses, video=Path(shown.videos[name])) for name, t in tracks.items()]
 
