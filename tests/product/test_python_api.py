@@ -353,8 +353,8 @@ def test_environments_and_sessions_take_objects_instead_of_names() -> None:
         home.name,
         "robot/lift_arm",
     )
-    named = h3data.simulate("wander", [home], roster=[robot, "human"], agents={"robot": Still()}, max_steps=3)
-    assert [agent.model for agent in named.agents] == ["robot/lift_arm", "human/female_0"]
+    named = h3data.simulate("wander", [home], roster=[robot, "human"], agents={"robot": Still}, max_steps=3)
+    assert [agent.model for agent in named.agents] == ["robot/lift_arm", "humanoid/female_0"]
     env = h3data.make(Wander, [home, "small:1"], robot=robot)
     assert "lift_arm" in repr(env)
     assert "2 scenes of home_small_3, small:1" in repr(env)
