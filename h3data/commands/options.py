@@ -302,6 +302,7 @@ def _name_of(thing: Any) -> Any:
         module = thing.__module__
         if module == "__main__" and (script := getattr(sys.modules["__main__"], "__file__", None)):
             module = Path(script).stem  # recordings name it, and other processes import it
+            sys.modules.setdefault(module, sys.modules["__main__"])  # which must not run again in this one
         return f"{module}:{thing.__qualname__}"
     from h3data.bodies import Robot, robot_name
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sim_kinematic.agents.driven.commands import PersonCommand, Pick, Place
-from sim_kinematic.policies.assignment import AssignedPolicy, PolicyChoice, policy_names
+from sim_kinematic.policies.assignment import AssignedPolicy, PolicyChoice, PolicyMaker, policy_names, resolve_policy
 from sim_kinematic.policies.learned import navigation_input
 from sim_kinematic.policies.network import from_torch, save_network
 from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still, Velocity
@@ -19,11 +19,13 @@ __all__ = [
     "Place",
     "Policy",
     "PolicyChoice",
+    "PolicyMaker",
     "SocialNavView",
     "Still",
     "Velocity",
     "from_torch",
     "navigation_input",
     "policy_names",
+    "resolve_policy",
     "save_network",
 ]

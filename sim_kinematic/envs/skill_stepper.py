@@ -21,8 +21,7 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, gymnasium
-from sim_kinematic.policies.assignment import check_policy
-from sim_kinematic.policies.learned import is_learned
+from sim_kinematic.policies.assignment import policy_names, resolve_policy, unknown_policy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, limits
@@ -272,10 +271,10 @@ class SkillStepper:
 
     def _check_partner(self, kind: str, name: str) -> None:
         """Refuses policies of the other kind, too: the task itself lets either kind follow both, as recordings may."""
-        if is_learned(name):
-            self.task.check_policy(kind, name, self.spec)
-        else:
-            check_policy(self.task, kind, name)
+        other = "human" if kind == "robot" else "robot"
+        if name in policy_names(self.task, other) and name not in policy_names(self.task, kind):
+            raise unknown_policy(self.task, kind, name)
+        resolve_policy(self.task, kind, name, self.spec)
 
     def _observation_sets(self, names: Sequence[str], options: Options) -> dict[str, ObservationSet]:
         states = {agent: self._limits(agent) for agent in self.agents}

@@ -16,6 +16,7 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
 from sim_kinematic.motion.state import HumanState
+from sim_kinematic.policies.assignment import resolve_policy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
@@ -89,7 +90,7 @@ class WorldStepper:
         self._others = [k for k in range(len(names)) if k not in self.numbers.values()]
         self._partner, self._options = partner, options
         for k in self._others if isinstance(partner, str) else ():
-            task.check_policy(self.source.roster[k].kind, partner, self.spec)
+            resolve_policy(task, self.source.roster[k].kind, partner, self.spec)
         self._walkers: list[list[Any]] = [[] for _ in range(self.worlds)]
         self._targets: dict[int, Array] = {k: np.zeros((self.worlds, 2)) for k in self._others}
         self._home = np.full(self.worlds, -1)

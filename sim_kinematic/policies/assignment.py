@@ -126,51 +126,61 @@ def each_of(choice: Chosen, count: int, kind: str) -> list[Any]:
     return listed[:count]
 
 
-def make_policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedPolicy:
+PolicyMaker = Callable[[Episode, int], AssignedPolicy]
+"""Makes a fresh policy for the agent with this number in one episode."""
+
+
+def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice) -> AssignedPolicy:
     """A fresh policy for one agent in one episode.
 
     Raises:
         InputError: no such policy; the message lists what there is.
     """
-    kind = episode.roster[number].kind
+    return resolve_policy(task, episode.roster[number].kind, choice)(episode, number)
+
+
+def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None) -> PolicyMaker:
+    """What makes the policies of an agent: the one place where commands, environments, sessions, live play and plug-ins look up
+    whom they mean.
+
+    Args:
+        task: What is played; its `Task.named_policy` is asked first, then its tables, those of every task and plug-ins.
+        kind: ``robot`` or ``human``.
+        choice: A name, ``weights:FILE`` or ``module:name``; a policy, its class, a function ``(view, base)``, or `External`.
+        spec: The rules, which files of weights must fit; None where episodes say them.
+
+    Raises:
+        InputError: no such policy; the message lists what there is.
+    """
     if isinstance(choice, str):
-        return task_policy(task, episode, number, choice.strip())
+        return _named(task, kind, choice.strip(), spec)
     if isinstance(choice, AssignedPolicy):
-        return choice
+        return lambda episode, number: choice
     if isinstance(choice, External):
-        return AssignedPolicy(choice, "external", kind)
+        return lambda episode, number: AssignedPolicy(choice, "external", kind)
+    if isinstance(choice, type):
+        return lambda episode, number: AssignedPolicy(choice(), choice.__name__, kind)
     if hasattr(choice, "act"):
-        return AssignedPolicy(choice, type(choice).__name__, kind)
+        return lambda episode, number: AssignedPolicy(choice, type(choice).__name__, kind)
     if callable(choice):
         name = getattr(choice, "__name__", type(choice).__name__)
-        return AssignedPolicy(FunctionPolicy(choice, _base(episode, number)), name, kind)
+        return lambda episode, number: AssignedPolicy(FunctionPolicy(choice, _base(episode, number)), name, kind)
     raise InputError(f"Expected a policy by name, with a method act, or a function, got {choice!r}.")
 
 
-def task_policy(task: Task, episode: Episode, number: int, name: str) -> AssignedPolicy:
-    """The policy that a name means for an agent of a task."""
-    kind = episode.roster[number].kind
-    made = task.named_policy(episode, number, name)
+def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
+    made = task.named_policy(kind, name, spec)
     if made is not None:
         return made
     own = {**COMMON[kind], **task.policies.get(kind, {})} if task.uses_common_policies else task.policies.get(kind, {})
-    if name in own:
-        return AssignedPolicy(as_policy(own[name], task, episode, number), name, kind)
     plugins = plugin_policies()
-    if not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
-        return AssignedPolicy(as_policy(plugins.get(name), task, episode, number), name, kind)
-    raise _unknown(task, kind, name)
-
-
-def check_policy(task: Task, kind: str, name: str) -> None:
-    """As `Task.check_policy`."""
-    own, plugins = policy_names(task, kind), plugin_policies()
     if name in own:
-        return
-    if not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
-        plugins.get(name)
-        return
-    raise _unknown(task, kind, name)
+        found = own[name]
+    elif not name.startswith(PREFIX) and (":" in name or name in plugins.names()):
+        found = plugins.get(name)
+    else:
+        raise unknown_policy(task, kind, name)
+    return lambda episode, number: AssignedPolicy(as_policy(found, task, episode, number), name, kind)
 
 
 def policy_names(task: Task, kind: str) -> list[str]:
@@ -179,7 +189,8 @@ def policy_names(task: Task, kind: str) -> list[str]:
     return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
 
 
-def _unknown(task: Task, kind: str, name: str) -> InputError:
+def unknown_policy(task: Task, kind: str, name: str) -> InputError:
+    """What says that agents of a kind follow nothing of this name in a task, and what there is."""
     there = [*policy_names(task, kind), *plugin_policies().names()]
     if name.startswith(PREFIX):  # tasks that take files of weights have read it by now
         whose = "robots" if kind == "robot" else "people"

@@ -21,7 +21,7 @@ from h3data.recording import Agent, Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene, scene_digest
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster, sample_places
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign, check_policy, make_policy
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker, assign, make_policy
 from sim_kinematic.policies.policy import Still, Velocity
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, deciding_since, recorded_commands
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, StepOutcome, TaskSpec, rules_dict
@@ -184,14 +184,6 @@ class Task:
         del policy
         return episode
 
-    def check_policy(self, kind: str, name: str, spec: Any) -> None:
-        """Refuses the name of a policy that does not exist.
-
-        Raises:
-            InputError: it does not; the message lists what does.
-        """
-        check_policy(self, kind, name)
-
     # --- playing ------------------------------------------------------------------------------------------------------
     def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> Rollout:
         """One episode, ready for `sim_kinematic.tasks.runner.run`.
@@ -203,9 +195,15 @@ class Task:
         play.policies = list(policies)
         return play
 
-    def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
-        """The policy that a name means in this task beyond its tables; None: look in the tables."""
-        del episode, number, name
+    def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
+        """What makes the policy that a name means in this task beyond its tables; None: look in the tables.
+
+        ``spec`` are the rules that it must fit, None where they are not known yet.
+
+        Raises:
+            InputError: what the name means cannot play this task.
+        """
+        del kind, name, spec
         return None
 
     def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:

@@ -7,6 +7,7 @@ import inspect
 import json
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -36,7 +37,7 @@ from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View
 from sim_kinematic.policies.policy import Still
-from tests.paths import ROOT
+from tests.paths import DATA, ROOT
 
 COMMANDS: list[tuple[Callable[..., Any], type[Command]]] = [
     (api.generate, Generate),
@@ -353,8 +354,8 @@ def test_environments_and_sessions_take_objects_instead_of_names() -> None:
         home.name,
         "robot/lift_arm",
     )
-    named = h3data.simulate("wander", [home], roster=[robot, "human"], agents={"robot": Still()}, max_steps=3)
-    assert [agent.model for agent in named.agents] == ["robot/lift_arm", "human/female_0"]
+    named = h3data.simulate("wander", [home], roster=[robot, "human"], agents={"robot": Still}, max_steps=3)
+    assert [agent.model for agent in named.agents] == ["robot/lift_arm", "humanoid/female_0"]
     env = h3data.make(Wander, [home, "small:1"], robot=robot)
     assert "lift_arm" in repr(env)
     assert "2 scenes of home_small_3, small:1" in repr(env)
@@ -368,6 +369,48 @@ def test_sessions_have_the_signature_of_the_simulator() -> None:
         assert [(p.name, p.kind, p.default) for p in face.values()] == [
             (p.name, p.kind, p.default) for p in real.values()
         ]
+
+
+USER_SCRIPT = DATA / "user_script.py"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("checker", ["pyright", "mypy"])
+def test_a_users_script_passes_a_strict_type_check(checker: str, tmp_path: Path) -> None:
+    pytest.importorskip(checker)
+    script = Path(shutil.copy(USER_SCRIPT, tmp_path))  # outside the checkout, where our own settings do not apply
+    options = ["--strict", f"--cache-dir={tmp_path}/cache"] if checker == "mypy" else ["--pythonpath", sys.executable]
+    assert script.read_text().startswith("# pyright: strict\n")
+    done = subprocess.run(
+        [sys.executable, "-m", checker, *options, str(script)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=280,
+    )
+    assert done.returncode == 0, done.stdout
+    wrong = script.read_text().replace("num_envs=4", "num_env=4").replace("episodes=2, agents", 'episodes="2", agents')
+    script.write_text(wrong)
+    done = subprocess.run(
+        [sys.executable, "-m", checker, *options, str(script)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=280,
+    )
+    assert done.returncode == 1, "a misspelt option and a text for a number"
+    for said in ("num_env", "int"):
+        assert said in done.stdout
+
+
+@pytest.mark.slow
+def test_a_users_script_runs(tmp_path: Path) -> None:
+    script = shutil.copy(USER_SCRIPT, tmp_path / "mine.py")
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, cwd=tmp_path, timeout=280, check=True
+    )
+    assert "mine:TurnAround" in done.stdout
+    assert {path.name for path in tmp_path.iterdir()} >= {"out", "table", "videos", "view.html"}
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ from h3data_training.populations.pool import draw_pool, episodes_of, pool_of, po
 from h3data_training.populations.run import CHECKPOINT, POLICY, train
 from h3data_training.populations.settings import NAMES, ROBOT, PopulationSettings, rearrange_recipe
 from sim_kinematic.agents.skills import choices
+from sim_kinematic.policies.assignment import resolve_policy
 from sim_kinematic.policies.choosers.chooser_network import (
     OBSERVATIONS,
     OF_OTHER,
@@ -620,8 +621,8 @@ def test_files_that_do_not_fit_are_refused(
     save_policy(chooser("partner_0"), person)
     task = find_task("rearrange")
     spec = task.Spec()
-    task.check_policy("robot", f"weights:{robot}", spec)
-    task.check_policy("human", f"weights:{person}", spec)
+    resolve_policy(task, "robot", f"weights:{robot}", spec)
+    resolve_policy(task, "human", f"weights:{person}", spec)
     for kind, file, rules, message in (
         ("robot", f"weights:{person}", spec, "for a robot, these are for a human"),
         ("human", f"weights:{robot}", spec, "for a human, these are for a robot"),
@@ -629,9 +630,9 @@ def test_files_that_do_not_fit_are_refused(
         ("robot", "end_to_end", spec, "for the task rearrange, these are for 'social_nav'"),
     ):
         with pytest.raises(FormatError, match=message):
-            task.check_policy(kind, file, rules)
+            resolve_policy(task, kind, file, rules)
     with pytest.raises(FormatError, match="for the task social_nav, these are for 'rearrange'"):
-        find_task("social_nav").check_policy("robot", f"weights:{robot}", find_task("social_nav").Spec())
+        resolve_policy(find_task("social_nav"), "robot", f"weights:{robot}", find_task("social_nav").Spec())
     with pytest.raises(FormatError, match="drive the robot quad_arm, the episode has wheeled"):
         RecurrentSkillPolicy(chooser()).require_body("wheeled")
     broken = tmp_path / "broken.npz"
@@ -646,7 +647,7 @@ def test_files_that_do_not_fit_are_refused(
         broken.write_bytes(content)
         os.utime(broken, ns=(0, hash(message) % 10**15))
         with pytest.raises(FormatError, match=message):
-            task.check_policy("robot", f"weights:{broken}", spec)
+            resolve_policy(task, "robot", f"weights:{broken}", spec)
     options = ["generate", "rearrange", "--scenes", "small:1", "--episodes", "1", "--policy", f"weights:{person}"]
     assert main([*options, "-o", str(tmp_path / "ds")]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1

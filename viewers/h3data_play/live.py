@@ -35,7 +35,7 @@ from h3data_play.messages import Act, decode
 from h3data_play.plan import VERSION, GameOrder, PlayPlan
 from h3data_play.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, StatePacker
 from sim_kinematic.agents.roster import HUMAN_BODY
-from sim_kinematic.policies.assignment import AssignedPolicy, make_policy
+from sim_kinematic.policies.assignment import AssignedPolicy, make_policy, resolve_policy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.episode import Episode, with_options
 from sim_kinematic.tasks.registry import find_task
@@ -126,7 +126,7 @@ class EpisodeFactory:
         """Agent of each player, in the order of `PlayPlan.players`."""
         if plan.partner not in (None, "solo"):
             for kind in {kind for k, kind in enumerate(self.roster) if k not in self.numbers}:
-                self.task.check_policy(kind, plan.partner_here or plan.partner, self.spec)
+                resolve_policy(self.task, kind, plan.partner_here or plan.partner, self.spec)
 
     def _numbers(self) -> tuple[int, ...]:
         numbers = []
@@ -144,6 +144,7 @@ class EpisodeFactory:
         plan = self.plan
         if plan.partner_here == plan.partner:
             return plan.partner
+        assert plan.partner_here is not None
         return make_policy(self.task, episode, number, plan.partner_here)._replace(name=plan.partner)
 
     def episode(self, index: int) -> Episode:

@@ -385,7 +385,7 @@ def checked(choices: Choices) -> Choices:
     """
     from h3data.bodies import load_humanoid
     from sim_kinematic.agents.roster import HUMAN_BODY, kinds_of, make_roster
-    from sim_kinematic.policies.assignment import each_of
+    from sim_kinematic.policies.assignment import each_of, resolve_policy
     from sim_kinematic.policies.learned import stamped
 
     task, spec = choices.found_task, choices.spec()
@@ -412,7 +412,7 @@ def checked(choices: Choices) -> Choices:
             raise InputError(f"{option} {names} is for a {kind}, but there is none in --agents {who}.")
         named[kind] = ",".join(map(stamped, names.split(",")))
         for name in each_of(names, kinds.count(kind), kind):
-            task.check_policy(kind, name.strip(), spec)
+            resolve_policy(task, kind, name, spec)
     if choices.policy == SOLO and ("human" not in kinds or not task.can_be_solo):
         raise InputError(
             f"The policy {SOLO} leaves robots away, so somebody else must be there. Expected a person in --agents."

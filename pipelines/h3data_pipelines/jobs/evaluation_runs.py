@@ -75,7 +75,7 @@ class EvaluationRequest:
 
     def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
         """All episodes, and what a file lacks; an `InputError` names the bad option."""
-        from sim_kinematic.policies.assignment import policy_names
+        from sim_kinematic.policies.assignment import policy_names, resolve_policy
         from sim_kinematic.policies.learned import in_light
         from sim_kinematic.tasks.registry import find_task
 
@@ -83,12 +83,12 @@ class EvaluationRequest:
             episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
         )  # fmt: skip
         task = find_task(self.task)
-        named = chosen_names("--policies", self.policies, policy_names(task, "robot"))
+        named = chosen_names(self.policies, policy_names(task, "robot"))
         policies = tuple(dict.fromkeys(in_light(name, self.light) for name in named))
         crosses = "human" in task.defaults and task.crosses_partners
         partners: tuple[str, ...] = ()
         if crosses or self.partners != (ALL,):
-            partners = chosen_names("--partners", self.partners, policy_names(task, "human"))
+            partners = chosen_names(self.partners, policy_names(task, "human"))
         if strangers := [name for name in self.population if name not in partners]:
             raise InputError(
                 f"--unseen-partners: expected partners that are evaluated ({', '.join(partners) or 'none'}), got "
@@ -102,7 +102,7 @@ class EvaluationRequest:
         choices = with_skills(choices, self.skills)
         for kind, names in (("robot", policies), ("human", partners)):
             for name in names:
-                task.check_policy(kind, name, choices.spec())
+                resolve_policy(task, kind, name, choices.spec())
         base = requested_jobs(self, choices, default_scenes=EvaluationRequest.scenes)
         return [Evaluation(job, policies, partners) for job in base.jobs], base
 

@@ -11,6 +11,7 @@ import re
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 import msgspec
@@ -27,7 +28,7 @@ from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, kinds_of, make_roster
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, DRIVEN_SKILLS, OPENING_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed
-from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.learned import SHIPPED_IN, SHIPPED_PARTNERS, naming
 from sim_kinematic.policies.rearrange import (
@@ -188,38 +189,17 @@ class Rearrange(Task):
         """Policies of all agents; ``solo``, which removes the robots beforehand, needs none."""
         return super().assign(episode, {k: v for k, v in (chosen or {}).items() if (k, v) != ("robot", SOLO)})
 
-    def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
-        """Learned or planning policy of a name, with the agent's own seed; None for other names."""
-        from sim_kinematic.policies.learned import is_learned, stamped
-
-        assert isinstance(episode, RearrangeEpisode)
-        kinds, objects = kinds_of(episode.roster), len(episode.targets)
-        kind = kinds[number]
-        if not (is_learned(name) or name in ROBOT_POLICIES or name in PARTNERS):
-            return None
-        nth = number - (0 if kind == "robot" else kinds.count("robot"))
-        seed = episode.seed if not nth else episode_seed(episode.seed, nth)
-        plans = name in PARTNERS if kind == "robot" else name not in ROBOT_POLICIES or name in PARTNERS
-        if plans and not (kind == "robot" and name in ROBOT_POLICIES):
-            policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
-        else:
-            policy, plan = robot_policy(name, objects), ""
-        if isinstance(policy, RecurrentSkillPolicy):
-            policy.seed = seed
-            if kind == "robot":
-                with naming(name):
-                    policy.require_body(episode.roster[number].model)
-        return AssignedPolicy(policy, stamped(name), kind, plan)
-
-    def check_policy(self, kind: str, name: str, spec: Any) -> None:
-        """Raises an `InputError` unless the name is a robot policy, a partner or a file of weights that fits the rules."""
+    def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
+        """Maker of the learned or planning policy of a name, with the agent's own seed; None for other names."""
         from sim_kinematic.policies.learned import is_learned
         from sim_kinematic.policies.learned_chooser import learned_chooser
 
         if is_learned(name):
-            learned_chooser(name, spec.objects, robot=kind == "robot")
+            if spec is not None:
+                learned_chooser(name, spec.objects, robot=kind == "robot")
         elif name not in ROBOT_POLICIES and name not in PARTNERS:
-            super().check_policy(kind, name, spec)
+            return None
+        return partial(_made_policy, name)
 
     def without_robots(self, episode: Episode, policy: str | None) -> Episode:
         """Episode with its people only if the policy is ``solo``, otherwise the episode itself."""
@@ -550,3 +530,24 @@ def _checked(
 ) -> tuple[Any, tuple[str, ...], Any]:
     spans, now = recorded_choices(recording, k, objects, since, joints=joints)
     return spans, objects, now
+
+
+def _made_policy(name: str, episode: Episode, number: int) -> AssignedPolicy:
+    from sim_kinematic.policies.learned import stamped
+
+    assert isinstance(episode, RearrangeEpisode)
+    kinds, objects = kinds_of(episode.roster), len(episode.targets)
+    kind = kinds[number]
+    nth = number - (0 if kind == "robot" else kinds.count("robot"))
+    seed = episode.seed if not nth else episode_seed(episode.seed, nth)
+    plans = name in PARTNERS if kind == "robot" else name not in ROBOT_POLICIES or name in PARTNERS
+    if plans and not (kind == "robot" and name in ROBOT_POLICIES):
+        policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
+    else:
+        policy, plan = robot_policy(name, objects), ""
+    if isinstance(policy, RecurrentSkillPolicy):
+        policy.seed = seed
+        if kind == "robot":
+            with naming(name):
+                policy.require_body(episode.roster[number].model)
+    return AssignedPolicy(policy, stamped(name), kind, plan)

@@ -25,7 +25,7 @@ from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.agents.waypoint_walker import HumanPlan
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
-from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.learned import SHIPPED_IN, is_learned, naming, navigation_of, network_of, stamped
 from sim_kinematic.policies.maneuvering import Maneuvering
 from sim_kinematic.policies.policy import FunctionPolicy
@@ -155,27 +155,28 @@ class SocialNav(Task):
         return episode_from(stored, home, spec=rules, free=free)
 
     # --- policies -----------------------------------------------------------------------------------------------------
-    def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
-        """Learned policy or expert of the robot, or scripted walk of the person; None for other names."""
-        kind = episode.roster[number].kind
+    def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
+        """Maker of a learned policy or expert of the robot, or of the person's scripted walk; None for other names."""
         if kind == "robot" and is_learned(name):
             network = network_of(name)
-            with naming(name):
-                player = navigation_of(network, robot=episode.roster[number].model)
-            return AssignedPolicy(FunctionPolicy(player, agent_base(episode, number)), stamped(name), kind)
-        if kind == "robot" and name in EXPERTS:
-            return AssignedPolicy(Maneuvering(POLICIES[name], agent_base(episode, number)), name, kind)
-        if kind == "human" and name == "waypoints":
-            walker = WaypointPolicy(episode.free, episode.seed, episode.spec.human, goals_of(episode))
-            return AssignedPolicy(walker, name, kind)
-        return None
+            if spec is not None:
+                policy_by_name(name)  # refuses what was trained for another task
 
-    def check_policy(self, kind: str, name: str, spec: Any) -> None:
-        """Raises an `InputError` unless the name is a policy of the kind, or for robots a file of weights."""
-        if kind == "robot" and is_learned(name):
-            policy_by_name(name)
-            return
-        super().check_policy(kind, name, spec)
+            def learned(episode: Episode, number: int) -> AssignedPolicy:
+                with naming(name):
+                    player = navigation_of(network, robot=episode.roster[number].model)
+                return AssignedPolicy(FunctionPolicy(player, agent_base(episode, number)), stamped(name), kind)
+
+            return learned
+        if kind == "robot" and name in EXPERTS:
+            return lambda episode, number: AssignedPolicy(
+                Maneuvering(POLICIES[name], agent_base(episode, number)), name, kind
+            )
+        if kind == "human" and name == "waypoints":
+            return lambda episode, number: AssignedPolicy(
+                WaypointPolicy(episode.free, episode.seed, episode.spec.human, goals_of(episode)), name, kind
+            )
+        return None
 
     def recorded_default(self, kind: str) -> str | None:
         """Default policy of robots; jobs name none for people."""
