@@ -12,7 +12,7 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Body
 
 
-class Errand(NamedTuple):
+class TaskProgress(NamedTuple):
     """What an agent is about, as far as it tells whether the agent gets on."""
 
     busy: bool
@@ -43,7 +43,7 @@ class Encounter:
 class StandOffs:
     """Counts, for every pair of agents, for how long neither has got on."""
 
-    def __init__(self, walkers: Sequence[Body], numbers: Sequence[int], errand: Callable[[int], Errand]) -> None:
+    def __init__(self, walkers: Sequence[Body], numbers: Sequence[int], errand: Callable[[int], TaskProgress]) -> None:
         self._walkers = dict(zip(numbers, walkers, strict=True))
         self._encounters = {pair: Encounter() for pair in combinations(numbers, 2)}
         self.errand = errand
@@ -76,7 +76,7 @@ class StandOffs:
                 stuck.append(pair)
         return stuck
 
-    def _gets_on(self, encounter: Encounter, errands: dict[int, Errand]) -> bool:
+    def _gets_on(self, encounter: Encounter, errands: dict[int, TaskProgress]) -> bool:
         completed = tuple(errand.completed for errand in errands.values())
         gets_on = completed != encounter.completed and len(encounter.completed) > 0
         encounter.completed = completed

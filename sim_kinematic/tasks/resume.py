@@ -139,7 +139,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
         info |= {"ended": played.ended, **task.kept_info(recording, episode, played.play)}
         info |= {"counterfactual": {**came, **played.track}, "human_reactive": False}
     else:
-        info |= {**task.hindsight(episode, played.play, assigned), **task.kept_info(recording, episode, played.play)}
+        info |= {**task.final_info(episode, played.play, assigned), **task.kept_info(recording, episode, played.play)}
         info |= {"resumed_from": came}
     what = "counterfactual" if keeps_people else "resume"
     label = ":".join([what, str(step), *task.run_names(assigned)])

@@ -116,7 +116,7 @@ def simulate(
     recorder = Recorder(header, play, sink(header) if sink is not None else None)
     try:
         run(play, recorder, progress=progress)
-        return recorder.finish({**task.hindsight(episode, play, assigned), **(info or {})})
+        return recorder.finish({**task.final_info(episode, play, assigned), **(info or {})})
     except BaseException:
         recorder.abort()
         raise
@@ -134,11 +134,11 @@ class StepResult:
     skills: tuple[SkillSpan, ...]
     """Skills that ended before or in this step, with outcome and reason."""
     refused: Mapping[str, str]
-    """By agent controlled from outside, a sentence that says why its skill failed in this step."""
+    """Sentence that says why a skill failed in this step, by agent controlled from outside."""
     waiting: tuple[str, ...]
-    """As `Session.waiting`, for the next step."""
+    """Agents that wait for a command for the next step (`Session.waiting`)."""
     ended: str
-    """What ended the episode; empty while it goes on."""
+    """Reason why the episode ended; empty while it is running."""
 
 
 class _Inbox(External):
@@ -154,7 +154,7 @@ class _Inbox(External):
         self.is_urgent = False
         """Whether it interrupts a running skill."""
         self.reason = ""
-        """Why a running skill has just been interrupted."""
+        """Reason why a running skill has just been interrupted."""
 
     def interrupts(self, view: Any) -> str:
         self.reason = "commanded" if self.has_news and self.is_urgent else super().interrupts(view)
@@ -221,7 +221,7 @@ class Session:
 
     @property
     def ended(self) -> str:
-        """What ended the episode; empty while it goes on."""
+        """Reason why the episode ended; empty while it is running."""
         return self.play.ended if self.play.over else ""
 
     @property
@@ -314,7 +314,7 @@ class Session:
         if self._closed is None:
             if not self.play.over:
                 self.play.ended = "closed"
-            found = self.task.hindsight(self.episode, self.play, self.policies)
+            found = self.task.final_info(self.episode, self.play, self.policies)
             self._closed = self.recorder.finish({**found, **(info or {})})
         return self._closed
 
