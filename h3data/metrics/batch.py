@@ -41,9 +41,9 @@ class Part:
 
     source: AnyPath
     episodes: range | None
-    """Of a dataset; None: a log."""
+    """Numbers of the episodes in a dataset; None for a log."""
     job: str
-    """Whose part it is: datasets stay open within a job."""
+    """Name of the job that the part belongs to; datasets stay open within a job."""
 
 
 F = TypeVar("F")

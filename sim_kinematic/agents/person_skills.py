@@ -228,7 +228,7 @@ class PersonActor:
         self.free = self.person.free = free
 
     def _clear_of_open(self, stands: Array) -> Array:
-        """Those of some stands that are not where a part of the home stands open."""
+        """Stands that are out of the doors and drawers that stand open."""
         if self.openables is None:
             return stands
         return stands[stands_clear(stands, self.openables.open_points(), (0.0,), AVOIDANCE.person.radius_m)]

@@ -94,7 +94,7 @@ class WorldStepper:
         self._targets: dict[int, Array] = {k: np.zeros((self.worlds, 2)) for k in self._others}
         self._home = np.full(self.worlds, -1)
         self._renderers: dict[tuple[int, int, LightMode], StateRenderer] = {}
-        """By home, number of worlds that are rendered at once, and light."""
+        """Renderers by home, number of worlds that are rendered at once, and light."""
         self._sets = self._observation_sets(observations or STATE_OBSERVATIONS)
 
     # --- spaces -------------------------------------------------------------------------------------------------------

@@ -93,9 +93,9 @@ OF_SKILLS = (
     "is_holding",
     "arm_joints",
 )
-"""Those of skills,"""
+"""Numbers that policies of skills observe."""
 OF_SOCIAL_NAV = ("humanoid_gps", "humanoid_detector", "humanoid_velocity", "egomotion", "way", "range_scan")
-"""and those of social navigation."""
+"""Numbers that policies of social navigation observe."""
 BASE_ACTIONS, GRIP_ACTIONS = 2, 1
 """Numbers of an action that move the base, and that close the hand where the arm's joints move."""
 

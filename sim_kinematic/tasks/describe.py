@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from h3data.scene import Scene
 
 LISTED = 3
-"""So many scenes of a list are named."""
+"""Number of scenes of a list that are named."""
 
 
 def in_words(

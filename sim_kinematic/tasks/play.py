@@ -47,9 +47,9 @@ class Rollout(Protocol):
     policies: list[AssignedPolicy]
     """One for each agent."""
     ended: str
-    """What ended the episode; ``max_steps`` until something else does."""
+    """Reason why the episode ended; ``max_steps`` until there is another."""
     events: list[Event]
-    """Since the recorder last took them."""
+    """Events since the recorder last took them."""
     spans: list[SkillSpan]
     """Skills that have ended, likewise."""
 
@@ -150,7 +150,7 @@ class WorldRollout:
             solid=getattr(spec, "solid_agents", False),
         )  # fmt: skip
         self.episodes: list[Episode] = []
-        """What each world plays; empty before the first `begin`."""
+        """Episode of each world; empty before the first `begin`."""
         self.steps = np.zeros(self.world.worlds, np.int64)
         """Steps of the episode so far, [W]."""
         self.memory: Any = None
@@ -166,7 +166,7 @@ class WorldRollout:
         self._words: list[str] = []
         self._checked = False
         self._traffic: dict[int, Traffic] = {}
-        """By world, where somebody has asked for it."""
+        """Traffic of the worlds for which it was requested."""
 
     # --- W worlds -----------------------------------------------------------------------------------------------------
     def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:

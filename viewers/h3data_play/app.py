@@ -21,11 +21,11 @@ class Hud:
     """What a player reads."""
 
     task: str
-    """What to do, in a sentence."""
+    """Task of the player, as a sentence."""
     left_s: float | None = None
     """Time that is left [s]; None: no limit is shown."""
     lines: tuple[str, ...] = ()
-    """How it stands, a line each."""
+    """Lines about the state of the game."""
     how: Mapping[str, str] = field(default_factory=dict)
     """How it is done by what the player acts with (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), said in place of the
     page's own hints. Where it has nothing, the page says what could be done now."""
@@ -38,7 +38,7 @@ class Goal:
     """Where an object has to go; goal number k is that of object number k."""
 
     position: tuple[float, float, float]
-    """Of the object's origin there [m]."""
+    """Goal position of the object's origin [m]."""
     label: str
     """Name of the place."""
 

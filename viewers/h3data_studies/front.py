@@ -36,7 +36,7 @@ JOINS_S = 600.0
 """An address may send as many new participants in this time as may take part from it at once."""
 TOKEN_LENGTH = len(new_token())
 WATCH_S = 5.0
-"""Who has dropped out is looked for this often."""
+"""Interval of checks for participants who have dropped out [s]."""
 MOST_PAUSES = 200
 MOST_FOCUS = 1000
 Short = Annotated[str, Meta(max_length=80)]

@@ -25,7 +25,7 @@ from h3data.geometry import Array, quat_conjugate, quat_multiply, quat_nlerp, qu
 
 SPEEDS_MPS = (0.3, 4.0)
 LEAST_STRIDE_M = 0.35
-"""Who gets no farther in a cycle of two steps stands, or treads on the spot."""
+"""Least distance covered in a cycle of two steps [m]; below it the person stands, or steps on the spot."""
 HALF = (0.3, 0.7)
 """Where in the cycle the right foot may strike: beyond it the right step is no step."""
 STANCES = {False: (0.58, 0.70), True: (0.25, 0.5)}

@@ -76,7 +76,7 @@ class EpisodeVideo:
     """Number of frames."""
     fps: int
     moments: Moments
-    """Of the channels R, G, B over all pixels, in 0..1."""
+    """Moments of the channels R, G, B over all pixels, in 0..1."""
     start: int = 0
     """Frame of the file with which the episode begins, a key frame."""
 

@@ -239,7 +239,7 @@ class RearrangeReward:
 
     success: float = 10.0
     stage: float = 5.0
-    """For each sub-goal (an object picked, an object at its goal), once."""
+    """Reward for each sub-goal (an object picked, an object at its goal), once."""
     collision: float = 5.0
     """Taken away when the agents touch, which ends the episode."""
     slack: float = -0.005
@@ -267,4 +267,4 @@ REARRANGE_REWARDS: dict[str, RearrangeReward] = {
     "paper": RearrangeReward(),
     "habitat": RearrangeReward(collision=0.5, slack=-0.0005),
 }
-"""By profile."""
+"""Rewards of rearrangement by profile."""
