@@ -64,7 +64,17 @@ AGAINST_THE_LAYERS = {
         "h3data_training.torch",
         "h3data_viewers",
         "sim_kinematic",
+        "sim_kinematic.agents.skills",
         "sim_kinematic.envs",
+        "sim_kinematic.policies",
+        "sim_kinematic.policies.policy",
+        "sim_kinematic.policies.visual_policy",
+        "sim_kinematic.sensing.table",
+        "sim_kinematic.tasks.episode",
+        "sim_kinematic.tasks.play",
+        "sim_kinematic.tasks.rearrange.play",
+        "sim_kinematic.tasks.runner",
+        "sim_kinematic.world",
     ],
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
