@@ -22,7 +22,7 @@ FILES = (
     "steps.csv", "object_pose.csv", "bodies.csv", "agents.csv", "skills.csv", "events.csv", "inputs.csv", "columns.npz",
     "recording.json",
 )  # fmt: skip
-"""What `write_csv_tables` writes."""
+"""Names of the files that `write_csv_tables` writes."""
 
 _POSE7 = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _WIDEST = 64

@@ -98,7 +98,7 @@ class MotionResult:
     reason: str = ""
     """Why not: a status of `h3data.bodies.people.reach`, or ``missed``."""
     hand_error_m: float = 0.0
-    """From where the hand (or what it puts down) should be to where it is, or would be, nearest."""
+    """Distance from where the hand (or what it puts down) should be to where it is, or would be, nearest [m]."""
     base_motion: BaseMotion | None = None
     """Where to stand instead (see `Person.approach`); None when that does not help either."""
 

@@ -41,7 +41,7 @@ SHUFFLE_MPS = 0.4
 ASIDE_LEG_M = 0.05
 """Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
 HANDS: tuple[Hand, ...] = ("right", "left")
-"""In the order in which a person tries them."""
+"""Hands in the order in which a person tries them."""
 
 
 class _Posture(NamedTuple):
@@ -73,11 +73,11 @@ class PersonActor:
     spec: WalkerSpec
     objects: Objects
     number: int = HUMAN
-    """Of the agent."""
+    """Number of the agent."""
     room: BodyClearance | None = None
     """Checks where the body would be; None: nobody does."""
     others: tuple[ObservedAgent, ...] = ()
-    """Who else is there, the nearest first."""
+    """Other agents that the person gives way to, the nearest first."""
     agreed: bool = False
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)

@@ -48,7 +48,7 @@ class AssignedPolicy(NamedTuple):
 
     policy: Any
     name: str
-    """As recorded."""
+    """Name of the policy, as recorded."""
     kind: str
     """``robot`` or ``human``."""
     plan: str = ""

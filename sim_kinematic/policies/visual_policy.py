@@ -34,7 +34,7 @@ PATCH = 4
 PICTURES = {"arm_depth": 1, "arm_rgb": 3}
 """Pictures that a network may be shown, one of them, and how many planes they have."""
 STRIDES = (1, 2, 2)
-"""Of the three convolutions, 3 x 3 with a margin of 1."""
+"""Strides of the three convolutions, which are 3 x 3 with a margin of 1."""
 SPEED_MPS = 2.5
 """Velocities and ranges are divided by this, the robot's speed limit."""
 
@@ -118,9 +118,9 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     actions: int = BASE_ACTIONS
     """Numbers of an action: base [2], of skills that move the arm also its joints [n] and grip [1]."""
     agent: str = "robot"
-    """Who acts by it: ``robot`` or ``human``."""
+    """Agent that the policy controls: ``robot`` or ``human``."""
     objects: int = 0
-    """So many objects of rearrangement it knows."""
+    """Number of objects of rearrangement that the policy supports."""
     primitives: bool = True
     """Whether a robot of rearrangement may choose the primitives of navigation."""
     training: dict[str, Any] = {}

@@ -41,7 +41,7 @@ class FormDifference:
     low: float
     high: float
     p: float
-    """Of a paired permutation test, adjusted by Holm's method for the pairs of its form."""
+    """The p-value of a paired permutation test, adjusted by Holm's method for the pairs of its form."""
     people: int
 
 

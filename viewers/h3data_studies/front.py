@@ -84,7 +84,7 @@ class Filled(msgspec.Struct, frozen=True):
     form: Short
     answers: dict[Short, Any]
     block: int | None = None
-    """As the view named it."""
+    """Number of the block, as the view named it."""
     trial: int | None = None
 
 

@@ -49,7 +49,7 @@ class Participant:
     used: float
     """Time since they agreed during which the study was served [s]."""
     idle: float
-    """As ``used``, since they last did something."""
+    """Time since the participant last did something [s], counted like ``used``."""
     language: str
     consent: dict[str, str]
     """Version and SHA-256 of the text that they agreed to."""

@@ -47,7 +47,7 @@ class Motion:
     body: str = ""
     """Body that it was fitted to; empty: as recorded."""
     source: str = ""
-    """Where it comes from and under which licence."""
+    """Origin and licence of the motion."""
 
     def __post_init__(self) -> None:
         faults = _faults(self)
@@ -59,7 +59,7 @@ class Motion:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last frame."""
+        """Time from the first to the last frame [s]."""
         return (len(self) - 1) / self.fps
 
     @property

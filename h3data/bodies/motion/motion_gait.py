@@ -57,13 +57,13 @@ class Cycle:
     stance: float
     """Share of the cycle that a foot is on the floor."""
     strike: float
-    """How far ahead of the pelvis a foot strikes, in strides."""
+    """Distance ahead of the pelvis at which a foot strikes, in strides."""
     quats: Array
     """Local rotations [F, 55, 4]; those of the legs are not used."""
     pelvis: Array
     """[F, 3] [m]."""
     pitch: Array
-    """Of a foot over its own phase, toes up, [F] [deg]."""
+    """Pitch of a foot over its own phase, toes up, [F] [deg]."""
     flight: Array
     """What the ankle of a swinging foot is forward of and above the line between its places, at even shares of the swing, 0 at
     both ends, [S, 2] [m]."""

@@ -54,7 +54,7 @@ class LitScene:
     instances: list[RenderInstance]
     light: Light
     mirrors: dict[int, NDArray[np.float32]]
-    """What glossy meshes mirror, for `RenderScene`."""
+    """Light that glossy meshes mirror, for `RenderScene`."""
     field: LightField | None
     """Light on what moves and its shadows (`Renderer.set_blockers`); None if there is no light to bake."""
 

@@ -61,7 +61,7 @@ class Evaluate:
     """rearrange: a partner of the population whose mean is shown (repeatable; default: the paper's four planners, both,
     object_1, object_2 and still, if all play, and the ten of these and the learned ones, if they do)."""
     scenes: str = "h3-homes/test"
-    """As of h3data generate."""
+    """Scenes, as for h3data generate."""
     episodes_file: Path | None = None
     """Episode file instead of --scenes, as of h3data generate: one of ours, in rearrange also Habitat's or PARTNR's."""
     assets: AssetsOption = ()

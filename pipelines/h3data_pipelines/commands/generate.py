@@ -159,7 +159,7 @@ class Generate:
     """Camera whose video is added to the dataset (observation.images.<name>), as in rerender; repeatable."""
     people: PeopleOption = "skin"
     light: LightOption = "baked"
-    """Of the videos. Policies that see colours are shown the light that they have learned in."""
+    """Light of the videos. Policies that see colours get the light of their training."""
     backend: BackendOption = "cpu"
     workers: int = 1
     """Processes."""

@@ -71,7 +71,7 @@ class ArticulatedParts:
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """Of all joints [J] [rad or m]; a view."""
+        """Positions of all joints [J] [rad or m]; a view."""
         return self.objects.state.joint_pos[0]
 
     def is_open(self, k: int) -> bool:

@@ -41,25 +41,25 @@ class SubGoal(NamedTuple):
     """Where a skill with an object leads."""
 
     ways: Ways
-    """To the places from which the agent reaches it."""
+    """Shortest paths to the places from which the agent reaches the object."""
     point: Array
     """[3] [m]."""
 
 
 @dataclass(eq=False)
 class SubGoals:
-    """Of one agent: the paths to where it takes each object and puts it down."""
+    """Sub-goals of one agent: paths to where it takes each object and puts it down."""
 
     oracle: OracleSpec
     to_start: Sequence[Ways]
-    """To each object where it lies at the beginning, and ``to_goal`` to its goal."""
+    """Paths to the initial place of each object; ``to_goal`` has those to its goal."""
     to_goal: Sequence[Ways]
     starts: Array
     """[K, 3] [m]."""
     goals: Array
 
     def of(self, action: Action, poses: Array) -> SubGoal:
-        """That of a skill with an object, given their poses [K, 7]."""
+        """Sub-goal of a skill with an object, given the poses [K, 7] of all objects."""
         k = action.target
         moved = action.skill in ("nav_to_goal", "place") or bool((poses[k, :3] == self.goals[k]).all())
         return SubGoal((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
@@ -117,7 +117,7 @@ class OracleRobot(RobotActor):
         return _handling(self, action, errand, partial(self._step, 0.0, 0.0), self.errands.oracle.robot_steps)
 
     def facing_error(self, errand: SubGoal) -> float:
-        """By how much it must turn to have what it came for in its reach direction [rad]."""
+        """Angle by which the robot must turn to have its target in its reach direction [rad]."""
         return self._error_to(errand.point[[0, 2]], reach_bearing(self.robot))
 
     def _go(self, errand: SubGoal) -> Skill:
@@ -185,7 +185,7 @@ class OraclePerson(PersonActor):
         return _handling(self, action, errand, self._stand, self.errands.oracle.person_steps)
 
     def facing_error(self, errand: SubGoal) -> float:
-        """By how much they must turn to face what they came for [rad]."""
+        """Angle by which the person must turn to face their target [rad]."""
         dx, dz = errand.point[[0, 2]] - self.xz
         return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
 

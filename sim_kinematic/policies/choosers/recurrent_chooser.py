@@ -53,7 +53,7 @@ class RecurrentSkillPolicy:
         self.choices = choices(objects, robot=robot)
         self.state = network.start()
         self.seed = 0
-        """Of the episode."""
+        """Seed of the episode."""
         self._thought, self._times = 0, 0
 
     def require_body(self, body: str) -> None:
