@@ -80,7 +80,7 @@ def export_csv(recordings: Iterable[Recording], request: ExportRequest) -> Expor
 
 
 def _npz(stream: IO[bytes], recording: Recording) -> None:
-    """As `numpy.savez_compressed`, which cannot take every name."""
+    """Writes arrays as `numpy.savez_compressed`, which does not accept every name."""
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in recording.columns.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:

@@ -220,7 +220,7 @@ class PersonActor:
         return person_stands(free, self.person.body, point, hand, island=island_of(free, self.xz))
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """As `stands`, for either hand, were the floor as in ``free``."""
+        """Stands for either hand on the floor ``free``."""
         return np.concatenate([self.stands(point, hand, free) for hand in HANDS])
 
     def walk_on(self, free: FreeSpace) -> None:
@@ -319,7 +319,7 @@ class PersonActor:
         return waited
 
     def _walk_curves(self, goal: NDArray, facing: float | None) -> Generator[None, None, int]:
-        """As `_walk`; whoever waits brakes."""
+        """Walks to a floor point as `_walk`, braking where the person has to wait."""
         strider = Strider(self.free, self.spec, halts=True)
         strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
         waited, left = 0, False

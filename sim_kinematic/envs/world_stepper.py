@@ -38,7 +38,7 @@ STATE_OBSERVATIONS = ("humanoid_gps", "egomotion")
 
 
 class WorldStepper:
-    """As `sim_kinematic.envs.stepper.Stepper`."""
+    """Stepper of W worlds of a task whose agents drive and walk."""
 
     def __init__(
         self,

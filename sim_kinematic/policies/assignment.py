@@ -77,7 +77,7 @@ def plugin_policies() -> Registry[Any]:
 
 
 def assign(task: Task, episode: Episode, chosen: Assigned) -> list[AssignedPolicy]:
-    """As `Task.assign`."""
+    """Assigns a policy to each agent of an episode; the default of `Task.assign`."""
     members = episode.roster
     names = [member.name for member in members]
     strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
@@ -160,7 +160,7 @@ def task_policy(task: Task, episode: Episode, number: int, name: str) -> Assigne
 
 
 def check_policy(task: Task, kind: str, name: str) -> None:
-    """As `Task.check_policy`."""
+    """Raises an `InputError` unless a name means a policy; the default of `Task.check_policy`."""
     own, plugins = policy_names(task, kind), plugin_policies()
     if name in own:
         return

@@ -210,7 +210,7 @@ class RecordedPolicy:
     _running: Action = field(default_factory=lambda: Action("wait"))
 
     def act(self, view: RearrangeView) -> Action:
-        """As `HighLevelPolicy.act`."""
+        """Recorded action of this decision, or the choice of the policy that has taken over."""
         choice = self.own.act(view) if self.own is not None and view.step >= self.since else None
         if view.step >= self.until and choice is not None:
             return choice
@@ -220,7 +220,7 @@ class RecordedPolicy:
         return self._running
 
     def interrupts(self, view: RearrangeView) -> str:
-        """As `HighLevelPolicy` says."""
+        """Reason for which the recording interrupts the running action; empty if there is none."""
         asked = self.own is not None and view.step >= self.since
         if asked and view.step == self.since > 0:
             return RESUMED

@@ -185,7 +185,7 @@ class Session:
         episode_id: str = "0",
         info: Mapping[str, Any] | None = None,
     ) -> None:
-        """As `simulate`; ``info`` is recorded from the start."""
+        """Begins an episode and its recording; arguments are those of `simulate`, and ``info`` is recorded from the start."""
         self.task, self.episode = task, episode
         self._inboxes: dict[int, _Inbox] = {}
         self.policies: list[AssignedPolicy] = []

@@ -459,7 +459,7 @@ class StudyServer(WebServer):
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """As of `WebServer`, if the page is about the episode that is next."""
+        """Gives a seat to a browser whose page is about the episode that is next."""
         body = await self._read(request, Episode)
         participant = self._participant(request)
         if participant is not None and participant.is_active:

@@ -281,7 +281,7 @@ class StudyStore(SeatLog):
         return removed
 
     def remove(self, participant: Participant) -> dict[str, int]:
-        """As `forget`, but leaves the file as long as it is, which does not stop those who play."""
+        """Deletes a participant's data as `forget`, without shrinking the file, so that games are not interrupted."""
         number = participant.number
         removed: dict[str, int] = {}
         with self._transaction():

@@ -204,7 +204,7 @@ class RobotActor(RobotDriver):
         return robot_stands(free, self.robot, base or self.base, point, island=island_of(free, self.xz))
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """As `stands`, were the floor as in ``free``."""
+        """Stands on the floor ``free``."""
         return self.stands(point, free=free)
 
     def _navigate_to_handle(self, k: int) -> Skill:

@@ -375,7 +375,7 @@ class RearrangeRollout:
                     actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
 
     def turns(self) -> Generator[int | None, Action, None]:
-        """As `sim_kinematic.tasks.play.Rollout.turns`."""
+        """Plays the episode to its end: yields each agent that must choose, and None after each step."""
         spec = self.episode.spec
         for self.step in range(spec.max_steps):
             held, joints = self.objects.held_by.copy(), self.state.joint_pos[0].copy()
@@ -605,7 +605,7 @@ class RearrangeRollout:
         return row
 
     def columns(self, snapshots: Sequence[Row], first: int) -> Columns:
-        """As `sim_kinematic.tasks.play.Rollout.columns`."""
+        """Columns of a recording from the snapshots of consecutive steps."""
         count = len(snapshots)
         block: Columns = {"time_ns": np.arange(first + 1, first + count + 1, dtype=np.int64) * STEP_NS}
         for name in snapshots[0]:
