@@ -86,7 +86,7 @@ class RecordedPoseCommand(NamedTuple):
 
 
 class Posture(NamedTuple):
-    """What the bodies of people do, one row per world."""
+    """Postures of people as motion clips, one row per world."""
 
     clip: NDArray[np.int64]
     """Index of the motion clip."""

@@ -46,7 +46,7 @@ _Item = dict[str, Any]
 
 @dataclass(frozen=True)
 class GfxReplayFiles:
-    """What was written."""
+    """Result of writing a gfx-replay."""
 
     path: Path
     assets: tuple[Path, ...]

@@ -58,7 +58,7 @@ class Format:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """What an export was asked for, beside the recordings."""
+    """Options of an export, besides the recordings."""
 
     out: Path
     """The file or folder to write; parents of a file, and the folder, exist."""
@@ -90,7 +90,7 @@ class ExportRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:
-    """What was written: text for people, data for machines."""
+    """Result of an export: text for people, data for machines."""
 
     text: str
     data: Mapping[str, Any] = field(default_factory=dict)

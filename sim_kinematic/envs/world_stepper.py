@@ -151,7 +151,7 @@ class WorldStepper:
         return outcome.reward, ends, self.play.out_of_time
 
     def _other_command(self, k: int) -> Command:
-        """What an agent does that is not controlled by actions."""
+        """Command of an agent that is not controlled by actions."""
         own, scripted = self.play.world.state.agents[k], isinstance(self._walkers[0][k], WaypointPolicy)
         if scripted and self.spec.human.stride is not None:
             walkers = [self._walkers[w][k] for w in range(self.worlds)]

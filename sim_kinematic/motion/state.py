@@ -47,7 +47,7 @@ class _Arrays:
             mine[worlds] = theirs
 
     def copy(self) -> Self:
-        """The same in arrays of its own."""
+        """Copy with arrays of its own."""
         return self.take(np.arange(self.worlds))
 
 

@@ -71,7 +71,7 @@ class Policy(Protocol):
     """Decides for one agent in one episode."""
 
     def act(self, view: Any) -> Any:
-        """What to do next, given `Task.view`."""
+        """Choice for the next step, given an observation from `Task.view`."""
         ...
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class AgentView(NamedTuple):
-    """What a privileged policy may know in any task: the map, and where everybody is and was a step ago."""
+    """Observation of privileged policies in any task: the map, and all agents' poses now and one step ago."""
 
     step: int
     seed: int
@@ -58,7 +58,7 @@ class AgentView(NamedTuple):
 
 
 class SocialNavView(NamedTuple):
-    """What a privileged policy may know: where both are, and the map."""
+    """Observation of privileged policies of social navigation: the map and the poses of both agents."""
 
     free: FreeSpace
     robot_xz: NDArray[np.float64]
@@ -83,7 +83,7 @@ class SocialNavView(NamedTuple):
 
 
 class RearrangeView(NamedTuple):
-    """What a privileged policy may know: everything but the other's plan."""
+    """Observation of privileged policies of rearrangement: everything but the other agent's plan."""
 
     step: int
     free: FreeSpace

@@ -176,7 +176,7 @@ class VisualPolicy:
         return self.sees == "arm_rgb"
 
     def in_light(self, light: LightMode) -> Self:
-        """The same network, shown colours in this light.
+        """Network with the same weights that sees its colours in another light.
 
         Raises:
             InputError: it sees no colours.
@@ -226,13 +226,13 @@ class VisualPolicy:
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """What sizes of pictures it expects, where this is none of them."""
+        """Sizes of pictures that the network supports, if this is none of them; otherwise empty."""
         fits = all(side % PATCH == 0 and PATCH <= side <= 1024 for side in size)
         return "" if fits else f"multiples of {PATCH} up to 1024"
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-        """Of all arrays, by name, with the widths that those at hand have."""
+        """Shapes of all arrays by name, with the widths that the given ones have."""
         shapes: dict[str, tuple[int, ...]] = {}
         features = 0
         if picture := picture_in(card.observations):

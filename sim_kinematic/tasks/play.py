@@ -77,7 +77,7 @@ class Rollout(Protocol):
         ...
 
     def view(self, agent: int) -> Any:
-        """What the policy of an agent is shown now."""
+        """Observation of an agent's policy."""
         ...
 
     def snapshot(self) -> Any:
@@ -94,7 +94,7 @@ class Rollout(Protocol):
 
 
 class Rules(Protocol):
-    """What `WorldRollout` asks of a task; `sim_kinematic.tasks.task.Task` explains each."""
+    """Methods of a task that `WorldRollout` calls; `sim_kinematic.tasks.task.Task` explains them."""
 
     skills: ClassVar[Mapping[str, tuple[str, ...]]]
     columns: ClassVar[Mapping[str, Any]]
@@ -204,7 +204,7 @@ class WorldRollout:
         return self.steps >= self.spec.max_steps
 
     def agent_view(self, agent: int, world: int = 0) -> AgentView:
-        """What any policy may know about a world."""
+        """Observation of an agent in one world, for any policy."""
         w, now, before = world, self.world.state.agents, self.world.before.agents
         episode = self.episodes[w]
         places = np.array([[*own.xz[w], own.heading[w]] for own in now])

@@ -103,7 +103,7 @@ def resume(
 
 
 def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recording:
-    """The same people on their recorded tracks beside robots that follow ``policy`` from ``step`` on.
+    """Simulates people on their recorded tracks with robots that follow ``policy`` from ``step`` on.
 
     People do not react: ``info["human_reactive"]`` is False. It ends with their tracks, or as the rules say.
 

@@ -125,7 +125,7 @@ def simulate(
 # --- callers that bring their own clock -------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class StepResult:
-    """What happened in one step of a session."""
+    """Result of one step of a session."""
 
     step: int
     """Number of the step that has just been played, from 0."""
@@ -232,7 +232,7 @@ class Session:
         return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.is_busy(self.play, k))
 
     def observe(self, agent: str) -> Any:
-        """What a privileged policy of this agent would be shown now (`Task.view`)."""
+        """Observation that a privileged policy of this agent would get now (`Task.view`)."""
         return self.play.view(self.number(agent))
 
     # --- commands -----------------------------------------------------------------------------------------------------
@@ -251,7 +251,7 @@ class Session:
         inbox.is_urgent = self.task.interrupts_running(self.play, number, choice)
 
     def refusal(self, agent: str, command: Any) -> str | None:
-        """Why an agent could not do something now, as a sentence for people; None: it could. Nothing is done.
+        """Reason why an agent could not carry out a command now, as a sentence; None if it could. Nothing is carried out.
 
         Raises:
             InputError: the agent is not controlled from outside, or the command is malformed.

@@ -140,7 +140,7 @@ class Task:
         )
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """What a policy of one agent is shown, by default an `AgentView`."""
+        """Observation of an agent's policy, by default an `AgentView`."""
         return play.agent_view(agent, world)
 
     def end_reason(self, play: WorldRollout, world: int) -> str:
@@ -294,7 +294,7 @@ class Task:
         return self.name.replace("_", " ").strip() or "act"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """What ``episode.info`` says from the start, beyond scene and bodies: enough for `restore`."""
+        """Entries of ``episode.info`` that are known from the start, besides scene and bodies: enough for `restore`."""
         names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
         info: dict[str, Any] = {
             "policy": names["robot"],

@@ -18,7 +18,7 @@ _LEAF = "leaf"
 
 @dataclass(frozen=True, kw_only=True)
 class Hud:
-    """What a player reads."""
+    """Text that a player reads during a game."""
 
     task: str
     """Task of the player, as a sentence."""
@@ -88,7 +88,7 @@ class App:
         return ""
 
     def hud(self, number: int) -> Hud:
-        """What the player of agent ``number`` reads; -1: a spectator."""
+        """Text for the player of agent ``number``, or for spectators (-1)."""
         del number
         info = self.session.recorder.header.episode.info
         return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
@@ -108,7 +108,7 @@ class App:
         return " ".join(dict.fromkeys(words.split()))
 
     def over(self, number: int) -> str:
-        """What the player reads at the end."""
+        """Text for the player at the end."""
         ended = self.session.ended
         return {
             "success": "Done. Thank you!",

@@ -110,7 +110,7 @@ class Driver:
 
     # --- to the world -------------------------------------------------------------------------------------------------
     def command(self) -> Any:
-        """What the session is told before the next step; None: nothing new."""
+        """Command for the next step; None to continue the last one."""
         return Velocity(*self.velocity())
 
     def velocity(self) -> tuple[float, float]:

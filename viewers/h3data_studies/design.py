@@ -22,7 +22,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Condition(Record, frozen=True):
-    """What participants play in one block of episodes."""
+    """Condition of one block of episodes."""
 
     name: Name
     app: str = "rearrange"
@@ -41,7 +41,7 @@ class Condition(Record, frozen=True):
 
 
 class Consent(Record, frozen=True):
-    """What participants agree to."""
+    """Text and questions to which participants consent."""
 
     version: Name
     text: Text = ""
@@ -113,7 +113,7 @@ class Exclude(Record, frozen=True):
 
 
 class Bonus(Record, frozen=True):
-    """What participants who finish are paid beyond the fixed reward."""
+    """Payment for participants who finish, beyond the fixed reward."""
 
     base: Annotated[float, Meta(ge=0)] = 0.0
     per_success: Annotated[float, Meta(ge=0)] = 0.0
@@ -236,7 +236,7 @@ class Block(msgspec.Struct, frozen=True):
 
 
 class Place(msgspec.Struct, frozen=True):
-    """What one participant plays: a practice episode of the first block's scene, then the blocks."""
+    """Episodes of one participant: a practice episode in the first block's scene, then the blocks."""
 
     practice: tuple[int, ...]
     blocks: tuple[Block, ...]

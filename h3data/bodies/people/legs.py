@@ -63,7 +63,7 @@ class Legs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posture:
-    """What a pose is solved from: everything but the legs, and where the feet are."""
+    """Input from which a pose is solved: everything but the legs, and the places of the feet."""
 
     quats: Array
     """Local rotations xyzw, shape [T, 55, 4]; those of the legs are solved."""

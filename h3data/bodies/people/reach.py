@@ -71,7 +71,7 @@ class BaseMotion(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReachResult:
-    """What comes of reaching for one point."""
+    """Result of reaching for one point."""
 
     status: ReachStatus
     """``reached``; ``outside_box``: beyond what postures were solved for; ``too_far``: inside, but the arm is too short (or

@@ -146,7 +146,7 @@ class Dataset(DatasetFolder):
         return tuple(video.camera for video in self.schema.videos)
 
     def video(self, index: int, camera: str) -> EpisodeVideo:
-        """What a camera saw in episode ``index``, one frame for each step; `EpisodeVideo.frames` decodes it.
+        """Video of a camera in episode ``index``, with one frame for each step; `EpisodeVideo.frames` decodes it.
 
         Raises:
             InputError: there is no such episode or camera, or the episode has no steps.

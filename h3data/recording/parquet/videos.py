@@ -33,7 +33,7 @@ MAX_FILE_BYTES = 200 << 20
 
 @dataclass(frozen=True, kw_only=True)
 class VideoFeature:
-    """What all videos of one camera have in common."""
+    """Properties that all videos of one camera share."""
 
     camera: str
     width: int

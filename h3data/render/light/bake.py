@@ -48,7 +48,7 @@ _DARK = 1e-4
 
 @dataclass(frozen=True)
 class LitScene:
-    """What a `RenderScene` is made of, and the light for its renderer."""
+    """Meshes and instances for a `RenderScene`, and the light for its renderer."""
 
     meshes: list[Mesh]
     instances: list[RenderInstance]

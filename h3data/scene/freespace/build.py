@@ -181,7 +181,7 @@ def build_from_walkable(
 
 
 def without_stairs(floor: FloorMap) -> FloorMap:
-    """The same floor for what cannot climb: flights of stairs are obstacles, so storeys are islands."""
+    """Floor for agents that cannot climb: flights of stairs are obstacles, so that storeys are islands."""
     heights = floor.heights.copy()
     flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
     heights[:, STEPS] = 0  # nobody sets a foot on them

@@ -228,7 +228,7 @@ class Choices:
 
 
 def with_skills(choices: Choices, skills: str) -> Choices:
-    """The same with learned skills, or `ORACLE` ones; with none where ``skills`` is empty.
+    """Rules with learned skills, or `ORACLE` ones; with none if ``skills`` is empty.
 
     Raises:
         InputError: the task has no skills, or there are no such files.

@@ -112,7 +112,7 @@ class ResNetLSTM(nn.Module):
         self.state_length = 2 * LAYERS * hidden
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """What goes into the recurrent layers, [n, F], of pictures [n, planes, H, W] and numbers [n, N]."""
+        """Input of the recurrent layers, [n, F], for pictures [n, planes, H, W] and numbers [n, N]."""
         if self.visual is None or pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
@@ -121,7 +121,7 @@ class ResNetLSTM(nn.Module):
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """What is known after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
+        """Output of the recurrent layers after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
         long, short = state.unflatten(1, (2 * LAYERS, -1)).transpose(0, 1).contiguous().chunk(2)
         out, (long, short) = self.lstm(x, (long, short))
         return out, torch.cat([long, short]).transpose(0, 1).flatten(1)

@@ -136,7 +136,7 @@ ORACLE_RULES = RearrangeSpec(
 
 
 def with_oracle_skills(spec: RearrangeSpec) -> RearrangeSpec:
-    """The same rules but for those that `ORACLE_RULES` is about."""
+    """Rules with those for oracle skills taken from `ORACLE_RULES`."""
     fields = ("max_steps", "robot", "human", "arm_rad_s", "people_give_way", "oracle")
     return replace(spec, **{name: getattr(ORACLE_RULES, name) for name in fields})
 
@@ -189,11 +189,11 @@ class RearrangeEpisode(Episode):
         return load_humanoid(self.pair[1])
 
     def only(self, *numbers: int) -> RearrangeEpisode:
-        """The same episode with some of its agents."""
+        """Episode with only some of its agents."""
         return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
 
     def played_by(self, agents: str | Sequence[str]) -> RearrangeEpisode:
-        """The same episode with other agents.
+        """Episode with other agents.
 
         Raises:
             InputError: there are no such agents.

@@ -476,7 +476,7 @@ class RearrangeRollout:
         )  # fmt: skip
 
     def errand(self, number: int) -> TaskProgress:
-        """What an agent is about now."""
+        """Progress of an agent with its present task."""
         runner = self.runner(number)
         skill, k = runner.action[:2]
         driven = isinstance(runner.actor, DrivenPerson) or skill in (CONTROL, *PRIMITIVES)

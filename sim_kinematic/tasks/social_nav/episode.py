@@ -100,7 +100,7 @@ def goals_of(episode: Episode) -> tuple[tuple[float, float], ...]:
 
 
 def plan_of(episode: Episode) -> HumanPlan:
-    """What the scripted person will do in an episode of greatest length."""
+    """Plan of the scripted person for an episode of the greatest length."""
     x, z, heading = episode.starts[HUMAN]
     return human_plan(
         episode.free,

@@ -332,7 +332,7 @@ class SocialNav(Task):
 
     # --- recording ----------------------------------------------------------------------------------------------------
     def instruction(self, episode: Episode) -> str:
-        """The same instruction for all episodes."""
+        """Instruction in words, the same for all episodes."""
         del episode
         return "follow the person"
 
