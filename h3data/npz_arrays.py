@@ -56,7 +56,7 @@ def npz_members(path: Path | io.BytesIO, names: Collection[str] | None = None) -
 
 
 def npz_arrays(path: Path | io.BytesIO, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
-    """As `npz_members`, plain arrays only: a pickled one is an error that names it."""
+    """Plain arrays of an npz file; a pickled one is an error that names it."""
     members = npz_members(path, names)
     for name, value in members.items():
         if not isinstance(value, np.ndarray) or value.dtype.hasobject:

@@ -86,16 +86,16 @@ class RecordedPoseCommand(NamedTuple):
 
 
 class Posture(NamedTuple):
-    """What the bodies of people do, one row per world."""
+    """Postures of people as motion clips, one row per world."""
 
     clip: NDArray[np.int64]
     """Index of the motion clip."""
     phase: Array
     """Place in its cycle, 0..1."""
     blend: Array
-    """Its weight over standing, 0..1."""
+    """Weight of the clip over standing, 0..1."""
     arms: Array
-    """How far the left and the right arm are tucked in, 0..1, [W, 2]."""
+    """Fold of the left and the right arm, from 0 (out) to 1 (in), [W, 2]."""
 
 
 Command = DriveCommand | WaypointCommand | PoseCommand | GaitCommand | RecordedPoseCommand
@@ -151,7 +151,7 @@ class World:
         self.groups: list[tuple[FreeSpace, Rows]] = []
         """The worlds that share a map: it and their indices."""
         self._uneven: tuple[tuple[FreeSpace, Rows], ...] = ()
-        """Those of the groups whose floor is not level."""
+        """Groups of worlds whose floor is not level."""
         self.blocked = np.zeros((self.worlds, len(self.roster)), np.bool_)
         """Agents that touched an obstacle in the last step, [W, A]."""
         self.pairs = tuple(combinations(range(len(self.roster)), 2))

@@ -36,9 +36,9 @@ from h3data.recording.records import AssetRef, Recording
 from h3data.replay import Replay
 
 DECIMALS = 7
-"""As habitat-sim writes them; single precision has no more."""
+"""Number of decimals, as habitat-sim writes them; single precision has no more."""
 CAMERA_PREFIX = "sensor_"
-"""What habitat-sim's replay viewer expects before a camera's name."""
+"""Prefix that habitat-sim's replay viewer expects before a camera's name."""
 
 _NO_FILE = "invalid_filepath"
 _Item = dict[str, Any]
@@ -46,7 +46,7 @@ _Item = dict[str, Any]
 
 @dataclass(frozen=True)
 class GfxReplayFiles:
-    """What was written."""
+    """Result of writing a gfx-replay."""
 
     path: Path
     assets: tuple[Path, ...]

@@ -31,7 +31,7 @@ _NEAREST_M = 0.01
 
 @dataclass(frozen=True)
 class GltfAnimationFile:
-    """What was written."""
+    """Result of writing a glTF animation."""
 
     path: Path
     nodes: int

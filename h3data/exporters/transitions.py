@@ -31,7 +31,7 @@ class Transitions:
     state: dict[str, NDArray[np.float32]]
     """What its body is like before each action and after the last one: `base_pose`, `joint_pos`, ... [T, width]."""
     state_names: tuple[str, ...]
-    """Of all values of ``state`` one after the other."""
+    """Names of all values of ``state``, one after the other."""
     action: NDArray[np.float32]
     """Shape [T - 1, A]."""
     action_names: tuple[str, ...]

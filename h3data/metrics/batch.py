@@ -41,9 +41,9 @@ class Part:
 
     source: AnyPath
     episodes: range | None
-    """Of a dataset; None: a log."""
+    """Numbers of the episodes in a dataset; None for a log."""
     job: str
-    """Whose part it is: datasets stay open within a job."""
+    """Name of the job that the part belongs to; datasets stay open within a job."""
 
 
 F = TypeVar("F")
@@ -100,7 +100,7 @@ def measure_tables(
     workers: int | None = None,
     spread: Spread[list[Measured]] | None = None,
 ) -> tuple[MetricsTable, ...]:
-    """As `measure_files`, with a table for each task whose metrics differ; the first lists what is left out of all."""
+    """Measures files as `measure_files`, with a table for each task whose metrics differ; the first lists what is left out."""
     rows, left_out = _measured(paths, profile, workers, spread)
     groups: dict[tuple[str, ...], list[EpisodeMetrics]] = {}
     for row in rows:

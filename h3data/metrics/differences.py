@@ -28,7 +28,7 @@ class Differences:
 
     profile: str
     metrics: tuple[Metric, ...]
-    """Their definitions."""
+    """Definitions of the metrics."""
     names: tuple[str, str]
     """Labels of the two runs."""
     episode_ids: tuple[str, ...]

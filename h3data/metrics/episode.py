@@ -26,7 +26,7 @@ class EpisodeMetrics:
     uid: str
     profile: str
     metrics: tuple[Metric, ...]
-    """What was measured, in the order of ``values``."""
+    """Definitions of the metrics, in the order of ``values``."""
     values: Mapping[str, float]
     """Values by metric name; NaN = this recording cannot tell, see ``notes``."""
     notes: Mapping[str, str]

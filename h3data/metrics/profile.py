@@ -27,7 +27,7 @@ class Computed:
     """Index of the robot that was measured; -1 = none in particular."""
     human: int = -1
     moments: Mapping[str, int] = field(default_factory=dict)
-    """As `EpisodeMetrics.moments`."""
+    """Steps of notable events by name (`EpisodeMetrics.moments`)."""
     protocol_deviations: str = ""
 
 
@@ -67,7 +67,7 @@ class Profile:
     title: str
     """One line for lists."""
     metrics: tuple[Metric, ...]
-    """In the order of tables."""
+    """Metrics of the profile, in the order of tables."""
     tasks: tuple[str, ...] = ()
     """Values of `Episode.task` that it measures, its own name of the task first; empty = any task."""
     compute: Callable[[Recording, Notes], Computed] | None = None

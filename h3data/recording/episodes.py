@@ -32,7 +32,7 @@ class StoredEpisode:
     read_facts: Callable[[], Mapping[str, Any]]
     """Reads `facts`, without ``info`` spread out."""
     index: int | None = None
-    """Its number in a dataset; None of a file."""
+    """Number of the episode in a dataset; None for a file."""
     read_videos: Callable[[], Sequence[EpisodeVideo]] = tuple
     """Returns the videos that its dataset has of it."""
     read_together: Callable[[range], Iterator[Recording]] | None = None

@@ -76,9 +76,9 @@ class AssetRef:
     """``scene:<asset>`` is in the attached scene; ``primitive:<kind>`` is generated; anything else is a file path as
     recorded, to be found below the user's asset roots."""
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
-    """Which axis of the file points up."""
+    """Axis of the file that points up."""
     front: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    """Which axis of the file points forward."""
+    """Axis of the file that points forward."""
     units_m: float = 1.0
     """Metres per unit of the file."""
     color: tuple[int, int, int] | None = None

@@ -330,5 +330,5 @@ def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
 
 
 def ordered(columns: Mapping[str, NDArray[Any]], names: Iterable[str]) -> dict[str, NDArray[Any]]:
-    """The same columns in the order of ``names``."""
+    """Columns in the order of ``names``."""
     return {name: columns[name] for name in names if name in columns}

@@ -41,7 +41,7 @@ class Camera:
     """Surfaces beyond this depth count as misses [m]."""
 
     def at(self, pose: ArrayLike) -> Camera:
-        """The same camera at another pose [4, 4], camera to world."""
+        """Camera with the same lens at another pose [4, 4], camera to world."""
         return replace(self, pose=np.asarray(pose, np.float64))
 
     def resized(self, width: int, height: int, *, crop: bool = True) -> Camera:

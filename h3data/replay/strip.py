@@ -39,7 +39,7 @@ class KeyFrame:
 
     step: int
     text: str
-    """Who does what: ``robot picks mug_0``."""
+    """Caption, such as ``robot picks mug_0``."""
     agents: tuple[int, ...]
     """Numbers of those who do it; the camera follows the first."""
 

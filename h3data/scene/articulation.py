@@ -24,7 +24,7 @@ NEARLY_CLOSED = 0.02
 """And shut up to this share."""
 
 ON_M, STACK_M = 0.02, 0.1
-"""What is at most so far beside or below a receptacle, or so far over it, lies on it."""
+"""Largest distances beside or below a receptacle, and above it, at which an object lies on it [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +34,7 @@ class SceneJoints:
     names: tuple[str, ...]
     """``thing/part``, [J]."""
     parts: tuple[tuple[Articulation, Part], ...]
-    """Of each joint."""
+    """Object and moving part of each joint."""
     closed: NDArray[np.float64]
     """Positions [J] [rad or m]."""
     opened: NDArray[np.float64]

@@ -214,7 +214,7 @@ class Part:
     encloses: tuple[str, ...] = ()
     """Receptacles (``instance|receptacle``) that are out of reach unless the part is open."""
     handle: NDArray[np.float64] | None = None
-    """Where a hand takes hold, in the frame of the thing with all joints at rest, shape [3] [m]; None: nobody said."""
+    """Point at which a hand takes hold, in the frame of the object with all joints at rest, shape [3] [m]; None if unknown."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -260,7 +260,7 @@ class Scene:
     instances: tuple[Instance, ...]
     rooms: tuple[Room, ...] = ()
     lights: tuple[LightSource, ...] | None = None
-    """None if the source says nothing about light; empty if there are no lamps (Habitat then shows flat colours)."""
+    """Light sources; None if unknown, empty if there are no lamps (Habitat then shows flat colours)."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """How to obtain the scene again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}``, or Habitat's files."""
     articulations: tuple[Articulation, ...] = ()

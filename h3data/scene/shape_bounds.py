@@ -13,7 +13,7 @@ from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 PRISM_SIDES = 32
 """Sides of the prism that stands for a cylinder."""
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
-"""Of a box of half extents 1."""
+"""Corners of a box with half extents 1."""
 
 
 def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:

@@ -84,7 +84,7 @@ class MixedDesign:
 
     family: Family
     formula: str
-    """In lme4's notation."""
+    """Model in lme4's notation."""
     response: NDArray[np.float64]
     """Counts, or successes, shape [N]."""
     trials: NDArray[np.float64]

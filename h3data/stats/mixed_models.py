@@ -42,7 +42,7 @@ class GlmmFit:
     """A fitted model. All estimates are on the link scale: natural logarithm for Poisson, log-odds for binomial."""
 
     formula: str
-    """In lme4's notation."""
+    """Model in lme4's notation."""
     family: Family
     rows: int
     fixed: FixedDesign

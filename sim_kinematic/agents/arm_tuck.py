@@ -28,7 +28,7 @@ LOOKS = 3
 """Lines that are done are sorted out after every so many looks, which saves a tenth of the time. The looks that they take
 meanwhile change nothing: a line is done when no further look can change its arm."""
 HANDS: tuple[Hand, ...] = ("left", "right")
-"""In the order of `HumanState.arms`."""
+"""Hands in the order of `HumanState.arms`."""
 CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06
 """A hand that carries something is held out where this much room is around its palm, and close to the body where only this
 much is: hand and object reach 8 to 10 cm beyond the palm."""

@@ -72,7 +72,7 @@ FADE_STEPS = 12
 """Steps over which walking goes over into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
 it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
 CLOSE_ENOUGH = 0.1
-"""What lacks of holding something close to the body while a person begins to walk."""
+"""Remaining distance from the carrying pose, as a share, at which a person begins to walk."""
 GRIP_M, GRIP_WITHIN = 0.03, (0.01, 0.09)
 """Radius that a hand closes around where no size is known, and the range of radii that it can [m]."""
 FINGER_M, FINGER_HALF = 0.026, 0.008
@@ -98,7 +98,7 @@ class MotionResult:
     reason: str = ""
     """Why not: a status of `h3data.bodies.people.reach`, or ``missed``."""
     hand_error_m: float = 0.0
-    """From where the hand (or what it puts down) should be to where it is, or would be, nearest."""
+    """Distance from where the hand (or what it puts down) should be to where it is, or would be, nearest [m]."""
     base_motion: BaseMotion | None = None
     """Where to stand instead (see `Person.approach`); None when that does not help either."""
 

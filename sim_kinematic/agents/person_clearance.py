@@ -22,7 +22,7 @@ from sim_kinematic.contact import MovingShapes, capsule_transforms, shapes_from_
 from sim_kinematic.contact.clearance import scenery_of, supports
 
 TOLERANCE_M = 0.02
-"""So deep a capsule may be in something: bodies are softer than capsules, and capsules a little thicker than bodies."""
+"""Depth to which a capsule may enter an obstacle [m]: bodies are softer, and a little thinner, than capsules."""
 EVERY = 4
 """Each so many-th frame of the hand's way is looked at, and the last one."""
 REACHING_PARTS: dict[Hand, tuple[str, str]] = {

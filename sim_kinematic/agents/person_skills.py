@@ -41,7 +41,7 @@ SHUFFLE_MPS = 0.4
 ASIDE_LEG_M = 0.05
 """Points of a path aside nearer than this are underfoot: people would brake at every point of a rounded corner."""
 HANDS: tuple[Hand, ...] = ("right", "left")
-"""In the order in which a person tries them."""
+"""Hands in the order in which a person tries them."""
 
 
 class _Posture(NamedTuple):
@@ -73,11 +73,11 @@ class PersonActor:
     spec: WalkerSpec
     objects: Objects
     number: int = HUMAN
-    """Of the agent."""
+    """Number of the agent."""
     room: BodyClearance | None = None
     """Checks where the body would be; None: nobody does."""
     others: tuple[ObservedAgent, ...] = ()
-    """Who else is there, the nearest first."""
+    """Other agents that the person gives way to, the nearest first."""
     agreed: bool = False
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
@@ -220,7 +220,7 @@ class PersonActor:
         return person_stands(free, self.person.body, point, hand, island=island_of(free, self.xz))
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """As `stands`, for either hand, were the floor as in ``free``."""
+        """Stands for either hand on the floor ``free``."""
         return np.concatenate([self.stands(point, hand, free) for hand in HANDS])
 
     def walk_on(self, free: FreeSpace) -> None:
@@ -228,7 +228,7 @@ class PersonActor:
         self.free = self.person.free = free
 
     def _clear_of_open(self, stands: Array) -> Array:
-        """Those of some stands that are not where a part of the home stands open."""
+        """Stands that are out of the doors and drawers that stand open."""
         if self.openables is None:
             return stands
         return stands[stands_clear(stands, self.openables.open_points(), (0.0,), AVOIDANCE.person.radius_m)]
@@ -319,7 +319,7 @@ class PersonActor:
         return waited
 
     def _walk_curves(self, goal: NDArray, facing: float | None) -> Generator[None, None, int]:
-        """As `_walk`; whoever waits brakes."""
+        """Walks to a floor point as `_walk`, braking where the person has to wait."""
         strider = Strider(self.free, self.spec, halts=True)
         strider.begin(np.vstack([self.xz[None], self._path(goal)]), facing=facing)
         waited, left = 0, False

@@ -82,7 +82,7 @@ def sentence(reason: str) -> str:
 
 
 class Action(NamedTuple):
-    """What a high-level policy chooses."""
+    """Choice of a high-level policy: a skill and its target."""
 
     skill: str
     target: int = -1

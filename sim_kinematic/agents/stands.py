@@ -141,7 +141,7 @@ def island_of(free: FreeSpace, xz: Array) -> int:
 
 
 def _on_island(free: FreeSpace, point: Array, stands: Array, island: int) -> Array:
-    """Those of the stands round a world point that are on an island, and on the storey of the point: not on stairs."""
+    """Stands around a world point that are on an island and on the point's storey, and not on stairs."""
     there = free.island(stands[:, :2]) == island
     if len(free.heights):
         level = np.abs(free.height_at(stands[:, :2]) - free.height_at(point[[0, 2]])) < LEVEL_M

@@ -189,7 +189,7 @@ def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bo
 
 
 class HumanPlan(NamedTuple):
-    """What the scripted person will do, whatever the robot does."""
+    """Plan of the scripted person, which does not depend on the robot."""
 
     xz: NDArray[np.float64]
     """Where the person is after each step, shape [steps, 2] [m]."""

@@ -25,7 +25,7 @@ from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.stand_offs import Errand, StandOffs
+from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
 
 
@@ -73,7 +73,7 @@ class RightOfWay:
     """Tells every agent in each step whether, and by which path, to step aside."""
 
     def __init__(
-        self, free: FreeSpace, walkers: Sequence[Walker], errand: Callable[[int], Errand] | None = None, *,
+        self, free: FreeSpace, walkers: Sequence[Walker], errand: Callable[[int], TaskProgress] | None = None, *,
         asks: bool = True,
     ) -> None:  # fmt: skip
         """``errand`` says what an agent is about: then stand-offs are ended. With ``asks`` False that is all that is done."""

@@ -12,17 +12,17 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Body
 
 
-class Errand(NamedTuple):
-    """What an agent is about, as far as it tells whether the agent gets on."""
+class TaskProgress(NamedTuple):
+    """Facts about an agent's task that show whether it makes progress."""
 
     busy: bool
-    """It has something to do."""
+    """Whether the agent has something to do."""
     leg: Hashable
     """What it does now; another value is another way to go."""
     left_m: Callable[[], float]
     """Gives the length of the path that it has still to go; infinite: it goes nowhere."""
     completed: int
-    """So many things it has completed."""
+    """Number of tasks that the agent has completed."""
     obeys: bool = True
     """It can be told to go elsewhere: nobody drives it from outside."""
 
@@ -32,9 +32,9 @@ class Encounter:
     """Two agents near each other."""
 
     steps: int = 0
-    """For so long neither has got on, near each other all the time."""
+    """Number of steps for which neither agent has made progress while they were near each other."""
     rounds: int = 0
-    """So often one of them was sent away since either has got on."""
+    """Number of times that one of them was sent away since the last progress."""
     completed: tuple[int, ...] = ()
     legs: dict[int, tuple[Hashable, float]] = field(default_factory=dict)
     """What each was about, and how far it had to go when that began or they met."""
@@ -43,7 +43,7 @@ class Encounter:
 class StandOffs:
     """Counts, for every pair of agents, for how long neither has got on."""
 
-    def __init__(self, walkers: Sequence[Body], numbers: Sequence[int], errand: Callable[[int], Errand]) -> None:
+    def __init__(self, walkers: Sequence[Body], numbers: Sequence[int], errand: Callable[[int], TaskProgress]) -> None:
         self._walkers = dict(zip(numbers, walkers, strict=True))
         self._encounters = {pair: Encounter() for pair in combinations(numbers, 2)}
         self.errand = errand
@@ -79,7 +79,7 @@ class StandOffs:
                 stuck.append(pair)
         return stuck
 
-    def _gets_on(self, encounter: Encounter, errands: dict[int, Errand]) -> bool:
+    def _gets_on(self, encounter: Encounter, errands: dict[int, TaskProgress]) -> bool:
         completed = tuple(errand.completed for errand in errands.values())
         gets_on = completed != encounter.completed and len(encounter.completed) > 0
         encounter.completed = completed

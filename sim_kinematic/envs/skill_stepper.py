@@ -44,7 +44,7 @@ KINDS = ("robot", "human")
 
 
 class SkillStepper:
-    """As `sim_kinematic.envs.stepper.Stepper`, with W = 1."""
+    """Stepper of one world of rearrangement."""
 
     worlds = 1
 

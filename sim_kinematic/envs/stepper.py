@@ -87,7 +87,7 @@ class Stepper(Protocol):
         ...
 
     def observe(self, agent: str) -> Arrays:
-        """What an agent is shown now, [W, ...] each and within its space."""
+        """Observations of an agent, [W, ...] each and within its space."""
         ...
 
     def info(self, agent: str) -> Info:
@@ -95,7 +95,7 @@ class Stepper(Protocol):
         ...
 
     def episode_info(self) -> Info:
-        """Which episode each world plays, [W] each."""
+        """Scene and seed of the episode in each world, [W] each."""
         ...
 
     def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
@@ -177,7 +177,7 @@ class FlatStepper:
         return gymnasium.spaces.flatten_space(self._spaces[agent])
 
     def observe(self, agent: str) -> NDArray[Any]:
-        """What an agent is shown now, [W, D]."""
+        """Observations of an agent as vectors, [W, D]."""
         shown, space = self._stepper.observe(agent), self.observation_space(agent)
         rows = [shown[name].reshape(self._stepper.worlds, -1) for name in self._spaces[agent].spaces]
         return np.concatenate(rows, axis=1, dtype=space.dtype)

@@ -39,7 +39,7 @@ STATE_OBSERVATIONS = ("humanoid_gps", "egomotion")
 
 
 class WorldStepper:
-    """As `sim_kinematic.envs.stepper.Stepper`."""
+    """Stepper of W worlds of a task whose agents drive and walk."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class WorldStepper:
         self._targets: dict[int, Array] = {k: np.zeros((self.worlds, 2)) for k in self._others}
         self._home = np.full(self.worlds, -1)
         self._renderers: dict[tuple[int, int, LightMode], StateRenderer] = {}
-        """By home, number of worlds that are rendered at once, and light."""
+        """Renderers by home, number of worlds that are rendered at once, and light."""
         self._sets = self._observation_sets(observations or STATE_OBSERVATIONS)
 
     # --- spaces -------------------------------------------------------------------------------------------------------
@@ -152,7 +152,7 @@ class WorldStepper:
         return outcome.reward, ends, self.play.out_of_time
 
     def _other_command(self, k: int) -> Command:
-        """What an agent does that is not controlled by actions."""
+        """Command of an agent that is not controlled by actions."""
         own, scripted = self.play.world.state.agents[k], isinstance(self._walkers[0][k], WaypointPolicy)
         if scripted and self.spec.human.stride is not None:
             walkers = [self._walkers[w][k] for w in range(self.worlds)]

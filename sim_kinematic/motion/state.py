@@ -17,12 +17,12 @@ from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE
 
 NOBODY = -1
-"""Who holds an object that lies about."""
+"""Number that stands for no agent, for objects that nobody holds."""
 ROBOT, HUMAN = 0, 1
 """Numbers of the agents where there is one robot and one person. In general robots are counted first, then people."""
 
 Worlds = NDArray[np.bool_] | NDArray[np.integer] | Sequence[int] | slice
-"""Which worlds: numbers or a mask, which copy, or a slice, which gives views."""
+"""Selection of worlds: numbers or a mask, which copy, or a slice, which gives views."""
 
 
 class _Arrays:
@@ -47,7 +47,7 @@ class _Arrays:
             mine[worlds] = theirs
 
     def copy(self) -> Self:
-        """The same in arrays of its own."""
+        """Copy with arrays of its own."""
         return self.take(np.arange(self.worlds))
 
 
@@ -67,7 +67,7 @@ class RobotState(_Arrays):
 
     @classmethod
     def zeros(cls, worlds: int, *, joints: int = 0) -> RobotState:
-        """At the origin."""
+        """People at the origin."""
         return cls(
             xz=np.zeros((worlds, 2)), heading=np.zeros(worlds), contact=np.zeros(worlds, np.bool_),
             joints=np.zeros((worlds, joints)),
@@ -89,7 +89,7 @@ class HumanState(_Arrays):
     blend: NDArray[np.float64]
     """0 = standing, 1 = walking, shape [W]."""
     arms: NDArray[np.float64]
-    """How far the left and the right arm are drawn in, 0..1, shape [W, 2]."""
+    """Fold of the left and the right arm, from 0 (out) to 1 (in), shape [W, 2]."""
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:

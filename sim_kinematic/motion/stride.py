@@ -42,7 +42,7 @@ arrived first and turned then stood turning in 3% of the steps of rearrangement.
 STAIRS_SHARE = 0.5
 """Share of their speed with which people climb stairs, measured in the plan."""
 CORNER_M = 0.5
-"""How far beyond the point that they walk to people see a corner coming."""
+"""Distance beyond the point that they walk towards at which people notice a corner [m]."""
 
 
 @kernel(error_model="numpy")

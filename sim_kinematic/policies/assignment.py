@@ -48,7 +48,7 @@ class AssignedPolicy(NamedTuple):
 
     policy: Any
     name: str
-    """As recorded."""
+    """Name of the policy, as recorded."""
     kind: str
     """``robot`` or ``human``."""
     plan: str = ""
@@ -80,7 +80,7 @@ def plugin_policies() -> Registry[Any]:
 
 
 def assign(task: Task, episode: Episode, chosen: Assigned) -> list[AssignedPolicy]:
-    """As `Task.assign`."""
+    """Assigns a policy to each agent of an episode; the default of `Task.assign`."""
     members = episode.roster
     names = [member.name for member in members]
     strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
@@ -140,8 +140,9 @@ def make_policy(task: Task, episode: Episode, number: int, choice: PolicyChoice)
 
 
 def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None) -> PolicyMaker:
-    """What makes the policies of an agent: the one place where commands, environments, sessions, live play and plug-ins look up
-    whom they mean.
+    """Finds what a policy's name means and returns a function that makes the policy for an episode.
+
+    Commands, environments, sessions, live play and plug-ins all look policies up here.
 
     Args:
         task: What is played; its `Task.named_policy` is asked first, then its tables, those of every task and plug-ins.

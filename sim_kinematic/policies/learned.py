@@ -196,7 +196,7 @@ class LearnedNavigation:
         self.network = network
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
-        """As `sim_kinematic.policies.social_nav.Policy`."""
+        """Velocity of the base for a view of the robot."""
         out = self.network(navigation_input(view, spec, self.network.observations))
         forward, turn = np.clip(np.nan_to_num(out, nan=0.0), -1, 1).tolist()
         return Velocity(forward, turn, "follow" if view.met else "find")
@@ -226,7 +226,7 @@ class VisualNavigation:
         self._step, self._decision = -1, -1
 
     def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
-        """As `sim_kinematic.policies.social_nav.Policy`."""
+        """Velocity of the base for a view of the robot; the network is evaluated once for several steps."""
         if view.step == 0 or view.step <= self._step:
             self._state, self._action, self._decision = self.network.start(), np.zeros(2, np.float32), -1
         decision = view.step // self.network.card.hold

@@ -42,12 +42,12 @@ class LearnedSkillPolicy:
         self.network = network
 
     def act(self, view: RearrangeView) -> Action:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""
+        """Next action, the one with the highest output of the network."""
         scores = self.network(chooser_input(view, self.network.observations))
         return self.choices[int(np.argmax(scores))]
 
     def interrupts(self, view: RearrangeView) -> str:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""
+        """Reason to interrupt the running action and choose again; empty if there is none."""
         return "agents_close" if view.close and "interrupted" in self.network.observations else ""
 
 

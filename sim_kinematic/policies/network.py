@@ -42,19 +42,19 @@ class Network:
     """A multi-layer perceptron: ``W_n f(... f(W_1 (x - mean) / scale + b_1) ...) + b_n``, in float32."""
 
     task: str
-    """For which task it acts: ``social_nav`` or ``rearrange``."""
+    """Task of the policy: ``social_nav`` or ``rearrange``."""
     observations: tuple[str, ...]
     """What its input is made of, by name, one after the other."""
     weights: tuple[NDArray[np.float32], ...]
-    """Of each layer, [out, in], as `torch.nn.Linear` has them."""
+    """Weights of each layer, [out, in], as in `torch.nn.Linear`."""
     biases: tuple[NDArray[np.float32], ...]
-    """Of each layer, [out]."""
+    """Biases of each layer, [out]."""
     activation: Activation = "tanh"
     """Between layers; the last one has none."""
     mean: NDArray[np.float32] = field(default_factory=lambda: np.zeros(1, np.float32))
     """Taken from the input, [in] or [1]."""
     scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(1, np.float32))
-    """By which it is divided then, [in] or [1]; positive."""
+    """Divisors of the inputs after that, [in] or [1]; positive."""
 
     def __post_init__(self) -> None:
         faults = _faults(self)

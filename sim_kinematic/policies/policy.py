@@ -71,7 +71,7 @@ class Policy(Protocol):
     """Decides for one agent in one episode."""
 
     def act(self, view: Any) -> Any:
-        """What to do next, given `Task.view`."""
+        """Choice for the next step, given an observation from `Task.view`."""
         ...
 
 
@@ -94,7 +94,7 @@ class External:
         )
 
     def interrupts(self, view: Any) -> str:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""
+        """Reason to interrupt the running action and choose again; empty if there is none."""
         action = view.action
         going_on = action is None or action.skill == "control"
         return "agents_close" if self.interrupts_when_close and view.close and not going_on else ""

@@ -29,15 +29,15 @@ POPULATIONS: dict[str, tuple[str, ...]] = {
     "plan_pop_3": ("object_1", "object_2", "both"),
     "plan_pop_4": ("still", "object_1", "object_2", "both"),
 }
-"""From which plans a partner is drawn, anew in each episode (paper section 4.2, Plan-Pop)."""
+"""Plans from which a partner's is sampled, again in each episode (paper section 4.2, Plan-Pop)."""
 ZSC = ("both", "object_1", "object_2", "still")
 """The planners of the paper's zero-shot population (appendix)."""
 ZSC_TEN = (*ZSC, *SHIPPED_PARTNERS)
 """That population with its six learned partners, which are trained here: the paper's were not published."""
 REPLAN_STEPS = 15
-"""So often a robot on its way to an object thinks again; in every step while the person is close."""
+"""Interval at which a robot that drives to an object chooses again [steps]; 1 while the person is close."""
 IN_REACH_M = 0.9
-"""Who stands this near to an object may be about to take it."""
+"""Distance to an object below which an agent may be about to take it [m]."""
 STRAIGHT_ON_STEPS = 10
 """Over so many steps the person's motion tells where they are going."""
 
@@ -80,7 +80,7 @@ class Planner:
 
     objects: tuple[int, ...]
     _passed: int = 0
-    """So many of its objects are behind it."""
+    """Number of objects that are done or skipped."""
     _tries: int = 0
 
     def act(self, view: RearrangeView) -> Action:

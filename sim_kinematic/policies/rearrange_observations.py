@@ -85,7 +85,7 @@ def _flags(of: Callable[[RearrangeView], NDArray], times: Times = "objects") -> 
 
 
 def _other(of: Callable[[RearrangeView], Floats], low: tuple[float, ...], high: tuple[float, ...]) -> Sense:
-    """Of the other agent: zeros where there is none."""
+    """Observation of the other agent; zeros if there is none."""
     return Sense(lambda v: of(v) if np.isfinite(v.other_xz).all() else np.zeros(len(low)), low, high, "once")
 
 
@@ -112,7 +112,7 @@ def _ways(start: NDArray, points: NDArray, view: RearrangeView) -> Floats:
 
 
 def _of_other(of: Callable[[RearrangeView], Floats]) -> Callable[[RearrangeView], Floats]:
-    """Of the other agent, for each object: zeros where there is none."""
+    """Observation of the other agent for each object; zeros if there is none."""
     return lambda view: of(view) if np.isfinite(view.other_xz).all() else np.zeros(len(view.objects))
 
 

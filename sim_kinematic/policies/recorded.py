@@ -21,7 +21,7 @@ from sim_kinematic.policies.views import RearrangeView
 COMMAND = "command"
 """Kind of the raw input that holds a command from outside."""
 RESUMED = "resumed"
-"""Why what an agent was doing is interrupted where another policy takes over; it may choose the same and go on."""
+"""Reason recorded for a skill that is interrupted because another policy takes over, which may continue it."""
 
 
 class NotRecorded(InputError):
@@ -34,7 +34,7 @@ class RecordedCommand(NamedTuple):
     step: int
     choice: Any
     interrupts: str = ""
-    """Why it interrupted a running skill; empty: the agent had to choose."""
+    """Reason for interrupting a running skill; empty if the agent had to choose."""
 
 
 class RecordedVelocities:
@@ -194,7 +194,7 @@ class RecordedPolicy:
     """
 
     spans: Sequence[SkillSpan]
-    """Its skills, in the order of time."""
+    """Recorded skills of the agent, in the order of time."""
     objects: tuple[str, ...]
     """Names of the task's objects."""
     now: NDArray[np.integer]
@@ -210,7 +210,7 @@ class RecordedPolicy:
     _running: Action = field(default_factory=lambda: Action("wait"))
 
     def act(self, view: RearrangeView) -> Action:
-        """As `HighLevelPolicy.act`."""
+        """Recorded action of this decision, or the choice of the policy that has taken over."""
         choice = self.own.act(view) if self.own is not None and view.step >= self.since else None
         if view.step >= self.until and choice is not None:
             return choice
@@ -220,7 +220,7 @@ class RecordedPolicy:
         return self._running
 
     def interrupts(self, view: RearrangeView) -> str:
-        """As `HighLevelPolicy` says."""
+        """Reason for which the recording interrupts the running action; empty if there is none."""
         asked = self.own is not None and view.step >= self.since
         if asked and view.step == self.since > 0:
             return RESUMED

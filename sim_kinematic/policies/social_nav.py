@@ -49,7 +49,7 @@ TURN_COST_M = 0.5
 ROOM_COST = 8.0
 """and a metre of lacking room."""
 REACH_M = 2.0
-"""So near to the person the robot may find them; farther away they are not heeded before they are found."""
+"""Distance to the person below which the robot may find them [m]; farther away it ignores them until they are found."""
 SAMPLES = 24
 """Commands that the sampling expert draws at every step."""
 

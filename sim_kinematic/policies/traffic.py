@@ -121,19 +121,19 @@ class ClipBody:
         return np.inf
 
     def stride(self, gait: HumanState | None = None) -> None:
-        """As `Person.stride`."""
+        """Moves the body by one step of its walk."""
         if gait is not None:
             self.gait = gait.take([0])
             draw_arms(self.gait, self._free, self.body, self._arms)
 
     def turn(self, heading: float, *, settles: bool = True) -> Generator[None, None, MotionResult]:
-        """As `Person.turn`: `sim_kinematic.motion.gait.walk_humans` turns them before they walk."""
+        """Does nothing: `sim_kinematic.motion.gait.walk_humans` turns people before they walk."""
         del heading, settles
         yield from ()
         return MotionResult(success=True)
 
     def frame(self) -> Frame:
-        """As `Person.frame`."""
+        """Pose of the body in this step."""
         root = pose_multiply(self.base, np.concatenate([self.pelvis, self.quats[0]]))
         return Frame(self.base, root, self.quats[1:], {})
 

@@ -34,7 +34,7 @@ PATCH = 4
 PICTURES = {"arm_depth": 1, "arm_rgb": 3}
 """Pictures that a network may be shown, one of them, and how many planes they have."""
 STRIDES = (1, 2, 2)
-"""Of the three convolutions, 3 x 3 with a margin of 1."""
+"""Strides of the three convolutions, which are 3 x 3 with a margin of 1."""
 SPEED_MPS = 2.5
 """Velocities and ranges are divided by this, the robot's speed limit."""
 
@@ -93,9 +93,9 @@ OF_SKILLS = (
     "is_holding",
     "arm_joints",
 )
-"""Those of skills,"""
+"""Numbers that policies of skills observe."""
 OF_SOCIAL_NAV = ("humanoid_gps", "humanoid_detector", "humanoid_velocity", "egomotion", "way", "range_scan")
-"""and those of social navigation."""
+"""Numbers that policies of social navigation observe."""
 BASE_ACTIONS, GRIP_ACTIONS = 2, 1
 """Numbers of an action that move the base, and that close the hand where the arm's joints move."""
 
@@ -118,9 +118,9 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     actions: int = BASE_ACTIONS
     """Numbers of an action: base [2], of skills that move the arm also its joints [n] and grip [1]."""
     agent: str = "robot"
-    """Who acts by it: ``robot`` or ``human``."""
+    """Agent that the policy controls: ``robot`` or ``human``."""
     objects: int = 0
-    """So many objects of rearrangement it knows."""
+    """Number of objects of rearrangement that the policy supports."""
     primitives: bool = True
     """Whether a robot of rearrangement may choose the primitives of navigation."""
     training: dict[str, Any] = {}
@@ -176,7 +176,7 @@ class VisualPolicy:
         return self.sees == "arm_rgb"
 
     def in_light(self, light: LightMode) -> Self:
-        """The same network, shown colours in this light.
+        """Network with the same weights that sees its colours in another light.
 
         Raises:
             InputError: it sees no colours.
@@ -226,13 +226,13 @@ class VisualPolicy:
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """What sizes of pictures it expects, where this is none of them."""
+        """Sizes of pictures that the network supports, if this is none of them; otherwise empty."""
         fits = all(side % PATCH == 0 and PATCH <= side <= 1024 for side in size)
         return "" if fits else f"multiples of {PATCH} up to 1024"
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-        """Of all arrays, by name, with the widths that those at hand have."""
+        """Shapes of all arrays by name, with the widths that the given ones have."""
         shapes: dict[str, tuple[int, ...]] = {}
         features = 0
         if picture := picture_in(card.observations):

@@ -26,7 +26,7 @@ class WaypointPolicy(WaypointHuman):
         return self.move(np.asarray(view.xz, np.float64), view.heading)
 
     def move(self, xz: NDArray[np.float64], heading: float) -> WaypointAction | PoseAction:
-        """The same from ``xz`` [2] and ``heading``: all that this policy looks at."""
+        """Choice for a position ``xz`` [2] and a heading, which are all that this policy needs."""
         if self.spec.stride is None:
             return WaypointAction(self.target(xz))
         x, z, turned = self.stride(xz, heading)

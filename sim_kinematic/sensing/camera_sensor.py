@@ -38,7 +38,7 @@ from sim_kinematic.sensing.sensor import HUMAN_ID, scaled_depth
 ROBOT_ID = 200
 """Semantic id of robots in our recordings."""
 HEAD_SIZE, HEAD_HFOV_DEG = (640, 480), 90.0
-"""Of the camera between a person's eyes."""
+"""Size and field of view of the camera between a person's eyes."""
 CAPSULE_SIDES = 12
 
 
@@ -117,7 +117,7 @@ class StateRenderer:
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """Those of the agents."""
+        """Bodies of the agents."""
         return tuple(drawn.body for drawn in self._agents)
 
     def instances(self, agent: int) -> tuple[int, ...]:
@@ -310,9 +310,9 @@ class CameraSensor:
     """A named camera of an agent and what it gives: depth and colours of the arm, body cameras, ids for the detector."""
 
     camera: str = "robot_arm"
-    """Of a robot; a person has one only."""
+    """Name of the robot's camera; a person has only one."""
     agent: int = 0
-    """Whose it is."""
+    """Number of the agent that carries the camera."""
     outputs: tuple[Output, ...] = ("depth",)
     depth_range_m: tuple[float, float] | None = None
     """Depth is clipped to this range and scaled to 0..1, as Habitat's; None leaves metres."""

@@ -74,7 +74,7 @@ class ObservationSet:
         return self.pictures.take(drawn) if self.pictures.names else {}
 
     def shown(self, exact: Arrays, seeds: Sequence[int], steps: Sequence[int]) -> Arrays:
-        """What W worlds show, [W, ...], of exact values [W, ...]: with noise, depth scaled to 0..1, within the space.
+        """Observations [W, ...] for exact values [W, ...]: with noise, depth scaled to 0..1, within the space.
 
         Noise follows from the episodes' ``seeds`` [W] and ``steps`` [W] alone.
         """

@@ -213,7 +213,7 @@ def is_holding(held_by: ArrayLike, agent: int = 0) -> Floats:
 
 # --- the person in a picture --------------------------------------------------------------------------------------------
 class Detection(NamedTuple):
-    """What the humanoid detector says of pictures [..., H, W]."""
+    """Output of the humanoid detector for pictures [..., H, W]."""
 
     found: NDArray[np.float32]
     """1 where more than `DETECTED_PIXELS` pixels show a person, shape [...]."""

@@ -49,7 +49,7 @@ class SensorContext(NamedTuple):
     base: BaseSpec
     """Discs and limits of the agent."""
     memory: Any
-    """What the task remembers (`WorldRollout.memory`), for sensors of its own."""
+    """State that the task stores between steps (`WorldRollout.memory`), for its own sensors."""
     episodes: Sequence[Any]
     """The episode of each world."""
     world: World

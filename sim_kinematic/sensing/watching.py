@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 SIZE, HFOV_DEG = (640, 480), 60.0
 DISTANCE_M, ELEVATION_DEG = 4.2, 50.0
 SIDES = 12
-"""From so many sides it may look."""
+"""Number of directions from which the camera may look."""
 TRIAL = (64, 48)
 """Size of the pictures that tell from which side the agent is seen best."""
 OTHERS = 0.5

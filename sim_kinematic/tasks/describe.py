@@ -10,7 +10,7 @@ from h3data.scene import Scene
 from sim_kinematic.tasks.sources import Scenes
 
 LISTED = 3
-"""So many scenes of a list are named."""
+"""Number of scenes of a list that are named."""
 
 
 def in_words(

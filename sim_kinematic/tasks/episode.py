@@ -54,7 +54,7 @@ class Episode:
     roster: tuple[AgentSpec, ...]
     """Robots, then people."""
     starts: Array
-    """Where each agent begins, ``(x, z, heading)``, shape [A, 3]."""
+    """Start ``(x, z, heading)`` of each agent, shape [A, 3]."""
     extra: Mapping[str, Any] = field(default_factory=dict)
     """Whatever else the task sampled, as JSON types; recorded in ``info["extra"]``."""
 

@@ -47,9 +47,9 @@ class Rollout(Protocol):
     policies: list[AssignedPolicy]
     """One for each agent."""
     ended: str
-    """What ended the episode; ``max_steps`` until something else does."""
+    """Reason why the episode ended; ``max_steps`` until there is another."""
     events: list[Event]
-    """Since the recorder last took them."""
+    """Events since the recorder last took them."""
     spans: list[SkillSpan]
     """Skills that have ended, likewise."""
 
@@ -77,7 +77,7 @@ class Rollout(Protocol):
         ...
 
     def view(self, agent: int) -> Any:
-        """What the policy of an agent is shown now."""
+        """Observation of an agent's policy."""
         ...
 
     def snapshot(self) -> Any:
@@ -94,7 +94,7 @@ class Rollout(Protocol):
 
 
 class Rules(Protocol):
-    """What `WorldRollout` asks of a task; `sim_kinematic.tasks.task.Task` explains each."""
+    """Methods of a task that `WorldRollout` calls; `sim_kinematic.tasks.task.Task` explains them."""
 
     skills: ClassVar[Mapping[str, tuple[str, ...]]]
     columns: ClassVar[Mapping[str, Any]]
@@ -150,7 +150,7 @@ class WorldRollout:
             solid=getattr(spec, "solid_agents", False),
         )  # fmt: skip
         self.episodes: list[Episode] = []
-        """What each world plays; empty before the first `begin`."""
+        """Episode of each world; empty before the first `begin`."""
         self.steps = np.zeros(self.world.worlds, np.int64)
         """Steps of the episode so far, [W]."""
         self.memory: Any = None
@@ -166,7 +166,7 @@ class WorldRollout:
         self._words: list[str] = []
         self._checked = False
         self._traffic: dict[int, Traffic] = {}
-        """By world, where somebody has asked for it."""
+        """Traffic of the worlds for which it was requested."""
 
     # --- W worlds -----------------------------------------------------------------------------------------------------
     def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:
@@ -204,7 +204,7 @@ class WorldRollout:
         return self.steps >= self.spec.max_steps
 
     def agent_view(self, agent: int, world: int = 0) -> AgentView:
-        """What any policy may know about a world."""
+        """Observation of an agent in one world, for any policy."""
         w, now, before = world, self.world.state.agents, self.world.before.agents
         episode = self.episodes[w]
         places = np.array([[*own.xz[w], own.heading[w]] for own in now])

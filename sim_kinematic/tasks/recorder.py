@@ -132,7 +132,7 @@ class Recorder:
         return recording
 
     def abort(self) -> None:
-        """Leaves what the sink has as it is."""
+        """Ends the recording early; the sink keeps what it has."""
         if self.sink is not None:
             self.sink.abort()
 
@@ -195,7 +195,7 @@ def finished(
 def describe(
     task: Task, episode: Episode, policies: Sequence[AssignedPolicy], *, episode_id: str = "0", reference: str = ""
 ) -> RecordingHeader:
-    """What is known before the first step: who and what is there, under which rules.
+    """Header of a recording, known before the first step: agents, bodies, scene and rules.
 
     ``reference`` (``module:Class``) is recorded for tasks that the package does not know by name.
     """

@@ -43,7 +43,7 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """What `sim_kinematic.tasks.resume.verify` found."""
+    """Result of `sim_kinematic.tasks.resume.verify`."""
 
     steps: int
     """Steps that agree: all, or those before the first difference."""
@@ -56,7 +56,7 @@ class Verification:
 
 
 def compared(recording: Recording, simulated: Columns, ended: str) -> Verification:
-    """What a simulation of the whole recording says about it; ``ended`` is what ended the simulation."""
+    """Comparison of a recording with its simulation, which ended for the reason ``ended``."""
     steps = len(recording)
     found = first_difference(recording.columns, simulated)
     done = len(simulated["time_ns"])
@@ -140,7 +140,7 @@ def _text(values: NDArray[Any]) -> str:
 
 @lru_cache(maxsize=4)
 def scene_and_map(file: bytes, radius_m: float, height_m: float) -> tuple[Scene, FreeSpace]:
-    """Of a scene file; the same for all recordings in one home."""
+    """Scene and free floor from a scene file; shared by all recordings in one home."""
     scene = load_scene(file)
     return scene, FreeSpace.from_scene(scene, radius_m=radius_m, height_m=height_m)
 
@@ -151,7 +151,7 @@ def is_counterfactual(recording: Recording) -> bool:
 
 
 def origin(recording: Recording, step: int) -> dict[str, Any]:
-    """What a recording made from this one says about it."""
+    """Entries of info about the recording from which another one is made."""
     return {"uid": recording.episode.uid, "step": step, "policy": recording.episode.info.get("policy")}
 
 

@@ -103,7 +103,7 @@ def resume(
 
 
 def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recording:
-    """The same people on their recorded tracks beside robots that follow ``policy`` from ``step`` on.
+    """Simulates people on their recorded tracks with robots that follow ``policy`` from ``step`` on.
 
     People do not react: ``info["human_reactive"]`` is False. It ends with their tracks, or as the rules say.
 
@@ -139,7 +139,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
         info |= {"ended": played.ended, **task.kept_info(recording, episode, played.play)}
         info |= {"counterfactual": {**came, **played.track}, "human_reactive": False}
     else:
-        info |= {**task.hindsight(episode, played.play, assigned), **task.kept_info(recording, episode, played.play)}
+        info |= {**task.final_info(episode, played.play, assigned), **task.kept_info(recording, episode, played.play)}
         info |= {"resumed_from": came}
     what = "counterfactual" if keeps_people else "resume"
     label = ":".join([what, str(step), *task.run_names(assigned)])

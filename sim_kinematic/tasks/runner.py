@@ -116,7 +116,7 @@ def simulate(
     recorder = Recorder(header, play, sink(header) if sink is not None else None)
     try:
         run(play, recorder, progress=progress)
-        return recorder.finish({**task.hindsight(episode, play, assigned), **(info or {})})
+        return recorder.finish({**task.final_info(episode, play, assigned), **(info or {})})
     except BaseException:
         recorder.abort()
         raise
@@ -125,7 +125,7 @@ def simulate(
 # --- callers that bring their own clock -------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class StepResult:
-    """What happened in one step of a session."""
+    """Result of one step of a session."""
 
     step: int
     """Number of the step that has just been played, from 0."""
@@ -134,11 +134,11 @@ class StepResult:
     skills: tuple[SkillSpan, ...]
     """Skills that ended before or in this step, with outcome and reason."""
     refused: Mapping[str, str]
-    """By agent controlled from outside, a sentence that says why its skill failed in this step."""
+    """Sentence that says why a skill failed in this step, by agent controlled from outside."""
     waiting: tuple[str, ...]
-    """As `Session.waiting`, for the next step."""
+    """Agents that wait for a command for the next step (`Session.waiting`)."""
     ended: str
-    """What ended the episode; empty while it goes on."""
+    """Reason why the episode ended; empty while it is running."""
 
 
 class _Inbox(External):
@@ -154,7 +154,7 @@ class _Inbox(External):
         self.is_urgent = False
         """Whether it interrupts a running skill."""
         self.reason = ""
-        """Why a running skill has just been interrupted."""
+        """Reason why a running skill has just been interrupted."""
 
     def interrupts(self, view: Any) -> str:
         self.reason = "commanded" if self.has_news and self.is_urgent else super().interrupts(view)
@@ -185,7 +185,7 @@ class Session:
         episode_id: str = "0",
         info: Mapping[str, Any] | None = None,
     ) -> None:
-        """As `simulate`; ``info`` is recorded from the start."""
+        """Begins an episode and its recording; arguments are those of `simulate`, and ``info`` is recorded from the start."""
         self.task, self.episode = task, episode
         self._inboxes: dict[int, _Inbox] = {}
         self.policies: list[AssignedPolicy] = []
@@ -221,7 +221,7 @@ class Session:
 
     @property
     def ended(self) -> str:
-        """What ended the episode; empty while it goes on."""
+        """Reason why the episode ended; empty while it is running."""
         return self.play.ended if self.play.over else ""
 
     @property
@@ -232,7 +232,7 @@ class Session:
         return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.is_busy(self.play, k))
 
     def observe(self, agent: str) -> Any:
-        """What a privileged policy of this agent would be shown now (`Task.view`)."""
+        """Observation that a privileged policy of this agent would get now (`Task.view`)."""
         return self.play.view(self.number(agent))
 
     # --- commands -----------------------------------------------------------------------------------------------------
@@ -251,7 +251,7 @@ class Session:
         inbox.is_urgent = self.task.interrupts_running(self.play, number, choice)
 
     def refusal(self, agent: str, command: Any) -> str | None:
-        """Why an agent could not do something now, as a sentence for people; None: it could. Nothing is done.
+        """Reason why an agent could not carry out a command now, as a sentence; None if it could. Nothing is carried out.
 
         Raises:
             InputError: the agent is not controlled from outside, or the command is malformed.
@@ -314,7 +314,7 @@ class Session:
         if self._closed is None:
             if not self.play.over:
                 self.play.ended = "closed"
-            found = self.task.hindsight(self.episode, self.play, self.policies)
+            found = self.task.final_info(self.episode, self.play, self.policies)
             self._closed = self.recorder.finish({**found, **(info or {})})
         return self._closed
 

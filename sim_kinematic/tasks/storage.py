@@ -103,7 +103,7 @@ class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
     """An episode of a task without a record of its own."""
 
     starts: tuple[Start, ...]
-    """Of each agent."""
+    """Start of each agent."""
     agents: tuple[str, ...]
     """The roster, as ``robot:quad_arm``."""
     extra: Mapping[str, Any] = msgspec.field(default_factory=dict)

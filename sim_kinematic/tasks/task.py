@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
+from h3data.errors import H3DataError, InputError
 from h3data.geometry import Array
 from h3data.recording import Agent, Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene, scene_digest
@@ -31,6 +31,9 @@ from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
 if TYPE_CHECKING:
     from h3data.scene.scene_sets import SceneSet
     from sim_kinematic.sensing.table import Sensor
+
+_RENAMED = {"foresight": "precompute", "hindsight": "final_info", "recall": "load_precomputed"}
+"""New names of methods of tasks."""
 
 
 class Task:
@@ -55,7 +58,7 @@ class Task:
     skills: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Names of what agents of a kind report to be doing; a kind without any has no skill column."""
     commanded: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]] = {}
-    """By kind of agent, fields of its recorded `Agent` that differ when it is controlled from outside."""
+    """Fields of the recorded `Agent` that differ for an agent controlled from outside, by kind of agent."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Policies by kind of agent and name, beside those that every task has (`sim_kinematic.policies.policy`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
@@ -69,6 +72,9 @@ class Task:
     """Names of further options of its environments, which it finds in ``WorldRollout.options``."""
 
     def __init_subclass__(cls) -> None:
+        for old, new in _RENAMED.items():
+            if old in vars(cls):  # it would never be called
+                raise H3DataError(f"The method {cls.__name__}.{old} of a task is called {new} now.")
         if "name" not in vars(cls):
             cls.name = "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
 
@@ -134,7 +140,7 @@ class Task:
         )
 
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
-        """What a policy of one agent is shown, by default an `AgentView`."""
+        """Observation of an agent's policy, by default an `AgentView`."""
         return play.agent_view(agent, world)
 
     def end_reason(self, play: WorldRollout, world: int) -> str:
@@ -286,7 +292,7 @@ class Task:
         return self.name.replace("_", " ").strip() or "act"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """What ``episode.info`` says from the start, beyond scene and bodies: enough for `restore`."""
+        """Entries of ``episode.info`` that are known from the start, besides scene and bodies: enough for `restore`."""
         names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
         info: dict[str, Any] = {
             "policy": names["robot"],
@@ -306,18 +312,21 @@ class Task:
         what = f"{self.name}:{scene_digest(episode.scene)}:{who}:{episode.seed}:{episode.spec}:{starts}:{episode.extra}"
         return str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:{what}"))
 
-    def hindsight(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        """What ``episode.info`` says only after the last step."""
+    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Entries of ``episode.info`` that are known only after the last step."""
         del episode, policies
         return {"ended": play.ended}
 
-    def foresight(self, episode: Episode) -> dict[str, Any]:
-        """What `hindsight` needs of an episode, takes long, and does not depend on how it is played; plain data."""
+    def precompute(self, episode: Episode) -> dict[str, Any]:
+        """Computes facts about an episode that `final_info` needs, take long, and do not depend on how it is played.
+
+        The result is plain data, so that another process can compute it.
+        """
         del episode
         return {}
 
-    def recall(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Spares an episode what another process has found out by `foresight`: a live world must not wait for it."""
+    def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
+        """Stores the facts that another process has computed with `precompute`, for which a live world must not wait."""
 
     # --- simulating again (sim_kinematic.tasks.resume) -----------------------------------------------------------------
     cut_span: ClassVar[Mapping[str, Any]] = {}

@@ -71,7 +71,7 @@ class Wander(Task):
         return StepOutcome(reward=np.zeros(world.worlds), terminated=nothing, success=nothing, events=events)
 
     def instruction(self, episode: Episode) -> str:
-        """The same instruction for all episodes."""
+        """Instruction in words, the same for all episodes."""
         del episode
         return "walk about the home"
 

@@ -18,14 +18,14 @@ _LEAF = "leaf"
 
 @dataclass(frozen=True, kw_only=True)
 class Hud:
-    """What a player reads."""
+    """Text that a player reads during a game."""
 
     task: str
-    """What to do, in a sentence."""
+    """Task of the player, as a sentence."""
     left_s: float | None = None
     """Time that is left [s]; None: no limit is shown."""
     lines: tuple[str, ...] = ()
-    """How it stands, a line each."""
+    """Lines about the state of the game."""
     how: Mapping[str, str] = field(default_factory=dict)
     """How it is done by what the player acts with (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), said in place of the
     page's own hints. Where it has nothing, the page says what could be done now."""
@@ -38,7 +38,7 @@ class Goal:
     """Where an object has to go; goal number k is that of object number k."""
 
     position: tuple[float, float, float]
-    """Of the object's origin there [m]."""
+    """Goal position of the object's origin [m]."""
     label: str
     """Name of the place."""
 
@@ -88,7 +88,7 @@ class App:
         return ""
 
     def hud(self, number: int) -> Hud:
-        """What the player of agent ``number`` reads; -1: a spectator."""
+        """Text for the player of agent ``number``, or for spectators (-1)."""
         del number
         info = self.session.recorder.header.episode.info
         return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
@@ -108,7 +108,7 @@ class App:
         return " ".join(dict.fromkeys(words.split()))
 
     def over(self, number: int) -> str:
-        """What the player reads at the end."""
+        """Text for the player at the end."""
         ended = self.session.ended
         return {
             "success": "Done. Thank you!",

@@ -46,7 +46,7 @@ class Live:
     worker: WorkerProcess
     begun: asyncio.Future[dict[str, Any]]
     sockets: dict[str, Connection] = field(default_factory=dict)
-    """Of those who are connected, by seat."""
+    """Connections of the connected players, by seat."""
     beginning: asyncio.Task[None] | None = None
     """Waits until the episode has been prepared."""
 

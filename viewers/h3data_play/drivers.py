@@ -75,7 +75,7 @@ class Driver:
         return why
 
     def follow(self, message: Act) -> str:
-        """As `take`."""
+        """Takes a message; returns a sentence for the player if it cannot be carried out."""
         if isinstance(message, Move):
             # float32, as it is recorded
             self.forward, self.turn = float(np.float32(message.f)), float(np.float32(message.t))
@@ -110,7 +110,7 @@ class Driver:
 
     # --- to the world -------------------------------------------------------------------------------------------------
     def command(self) -> Any:
-        """What the session is told before the next step; None: nothing new."""
+        """Command for the next step; None to continue the last one."""
         return Velocity(*self.velocity())
 
     def velocity(self) -> tuple[float, float]:

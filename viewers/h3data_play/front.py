@@ -136,7 +136,7 @@ class WebServer:
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
-        """What aiohttp serves."""
+        """Web application that aiohttp serves."""
         app = web.Application(
             client_max_size=POST_BYTES, middlewares=[strict, require_known_host(self.hosts), self._with_room]
         )

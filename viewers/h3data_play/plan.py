@@ -10,7 +10,7 @@ import msgspec
 SEATS = ("person", "robot", "spectator")
 """What somebody can sit down as."""
 VERSION = 1
-"""Of the protocol between page and server; the page refuses others."""
+"""Version of the protocol between page and server; the page refuses others."""
 
 
 class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
@@ -21,7 +21,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     out: str
     """Folder of the recordings."""
     seats: tuple[str, ...] = ("person",)
-    """Who plays what, from `SEATS`; players first."""
+    """Roles of the seats, from `SEATS`; players first."""
     partner: str | None = None
     """Policy of everybody whom nobody plays; None: the task's default."""
     scenes: str | tuple[str, ...] = "small"
@@ -66,7 +66,7 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     """One game, as the front orders it from a worker."""
 
     index: int
-    """Of the episode in the run of the plan's seed."""
+    """Number of the episode in the run of the plan's seed."""
     name: str
     """Path of its recording in the plan's folder, without the ending."""
     plan: int = 0
@@ -78,7 +78,7 @@ class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
     resumes: bool = False
     """Whether another process may have played some of it, or all."""
     facts: dict[str, Any] | None = None
-    """What the process that has prepared the episode found out about it (`Task.foresight`); None: nobody has prepared it."""
+    """What the process that has prepared the episode found out about it (`Task.precompute`); None: nobody has prepared it."""
 
 
 def prepared_key(order: GameOrder) -> str:

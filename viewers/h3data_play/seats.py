@@ -73,7 +73,7 @@ class SeatLog:
 
     folder: Path
     name: str = JOURNAL
-    """Of the file."""
+    """Name of the file."""
     read_only: bool = False
     """Works on a copy in memory: the file may be another process's."""
     seats: dict[str, Seat] = field(default_factory=dict)
@@ -147,7 +147,7 @@ class SeatLog:
         return next((s for s in self.seats.values() if s.token == digest and s.number == number), None)
 
     def taken(self, place: int, number: int) -> Seat | None:
-        """Who has seat ``number`` at a table."""
+        """Holder of seat ``number`` at a table."""
         return next((s for s in self.seats.values() if (s.place, s.number) == (place, number)), None)
 
     def close(self, *, done: bool) -> None:

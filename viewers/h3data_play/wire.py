@@ -38,7 +38,7 @@ the server leads."""
 BODY_JOINTS = 21
 """SMPL-X joints 1 to 21 move; fingers, jaw and eyes keep the pose that the GLB has."""
 JOINT_UNIT = 2e-4
-"""Of a robot's joints [rad or m]."""
+"""Unit of a robot's joint positions [rad or m]."""
 _HEAD = struct.Struct("<BBBBIif")
 _OBJECT = np.dtype([("index", "<u2"), ("held", "<i2"), ("pose", "<f4", 7)])
 _JOINT = np.dtype([("index", "<u2"), ("position", "<f4")])
@@ -97,7 +97,7 @@ class StatePacker:
 
     header: RecordingHeader
     bodies: tuple[Robot | Humanoid, ...]
-    """Of the agents."""
+    """Bodies of the agents."""
     heights: Array = field(default_factory=LEVEL.copy)
     """How high the floor is at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs."""
     _walks: dict[int, PlantedWalk] = field(default_factory=dict)

@@ -114,7 +114,7 @@ class WorkerProcess:
 
 
 class Workers:
-    """So many processes, and one more that is warm and takes over when one dies."""
+    """Worker processes, with a warm spare one that takes over when one dies."""
 
     def __init__(
         self, plans: Sequence[PlayPlan], count: int, heard: Heard, lost: Callable[[WorkerProcess], None]
@@ -190,7 +190,7 @@ class Preparer:
     def __init__(self, workers: Workers) -> None:
         self._workers = workers
         self.files: dict[str, tuple[bytes, str]] = {}
-        """By name: content, gzip-compressed, and its type."""
+        """Files by name: content, gzip-compressed, and its type."""
         self._made: dict[str, dict[str, Any]] = {}
         self._asked: dict[str, tuple[WorkerProcess, asyncio.Future[None]]] = {}
 

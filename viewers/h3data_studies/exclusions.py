@@ -62,7 +62,7 @@ def trial_measures(person: Participant, episode: PlayedEpisode) -> dict[str, flo
 
 @dataclass(frozen=True)
 class Exclusions:
-    """Who and what the rules of a study leave out."""
+    """Participants and episodes that the rules of a study leave out."""
 
     people: dict[str, str]
     """Why, by participant."""

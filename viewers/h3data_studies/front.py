@@ -36,7 +36,7 @@ JOINS_S = 600.0
 """An address may send as many new participants in this time as may take part from it at once."""
 TOKEN_LENGTH = len(new_token())
 WATCH_S = 5.0
-"""Who has dropped out is looked for this often."""
+"""Interval of checks for participants who have dropped out [s]."""
 MOST_PAUSES = 200
 MOST_FOCUS = 1000
 Short = Annotated[str, Meta(max_length=80)]
@@ -84,7 +84,7 @@ class Filled(msgspec.Struct, frozen=True):
     form: Short
     answers: dict[Short, Any]
     block: int | None = None
-    """As the view named it."""
+    """Number of the block, as the view named it."""
     trial: int | None = None
 
 
@@ -459,7 +459,7 @@ class StudyServer(WebServer):
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """As of `WebServer`, if the page is about the episode that is next."""
+        """Gives a seat to a browser whose page is about the episode that is next."""
         body = await self._read(request, Episode)
         participant = self._participant(request)
         if participant is not None and participant.is_active:

@@ -49,7 +49,7 @@ class Participant:
     used: float
     """Time since they agreed during which the study was served [s]."""
     idle: float
-    """As ``used``, since they last did something."""
+    """Time since the participant last did something [s], counted like ``used``."""
     language: str
     consent: dict[str, str]
     """Version and SHA-256 of the text that they agreed to."""
@@ -281,7 +281,7 @@ class StudyStore(SeatLog):
         return removed
 
     def remove(self, participant: Participant) -> dict[str, int]:
-        """As `forget`, but leaves the file as long as it is, which does not stop those who play."""
+        """Deletes a participant's data as `forget`, without shrinking the file, so that games are not interrupted."""
         number = participant.number
         removed: dict[str, int] = {}
         with self._transaction():

@@ -31,7 +31,7 @@ class BvhJoint:
     parent: int
     """-1 = a root."""
     offset: tuple[float, float, float]
-    """In the parent's frame, in the units of the file."""
+    """Position of the joint in its parent's frame, in the units of the file."""
     channels: tuple[str, ...]
     """Lower case, in the order of the file: that of the values, and that in which rotations apply."""
     end_site: bool = False

@@ -47,7 +47,7 @@ class Motion:
     body: str = ""
     """Body that it was fitted to; empty: as recorded."""
     source: str = ""
-    """Where it comes from and under which licence."""
+    """Origin and licence of the motion."""
 
     def __post_init__(self) -> None:
         faults = _faults(self)
@@ -59,7 +59,7 @@ class Motion:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last frame."""
+        """Time from the first to the last frame [s]."""
         return (len(self) - 1) / self.fps
 
     @property
@@ -85,7 +85,7 @@ class Motion:
         return normalized(mixed), self.pelvis[lower] + share[:, None] * (self.pelvis[upper] - self.pelvis[lower])
 
     def resampled(self, fps: float) -> Motion:
-        """The same with another number of frames per second."""
+        """Motion with another number of frames per second."""
         if not 0 < fps < 1e4:
             raise InputError(f"Expected frames per second above 0 and below 10000, got {fps}.")
         quats, pelvis = self.pose(np.arange(int(self.duration_s * fps + 1e-6) + 1) / fps)
@@ -126,7 +126,7 @@ def _faults(motion: Motion) -> list[str]:
 
 
 def in_start_frame(motion: Motion) -> Motion:
-    """The same turned and shifted along the floor into its start frame, with rotations of continuous sign."""
+    """Motion turned and shifted along the floor into its start frame, with rotations of continuous sign."""
     heading = float(pelvis_heading(motion.quats[:1, 0])[0])
     turn = quat_from_heading(-heading)
     origin = motion.pelvis[0] * (1, 0, 1)

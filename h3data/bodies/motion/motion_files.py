@@ -28,7 +28,7 @@ SUFFIXES = (".npz", ".pkl", ".bvh")
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """What a file may not say about itself."""
+    """Facts that a motion file may not contain."""
 
     up: Up = "z"
     """AMASS: axis of the file's world that points up."""
@@ -43,7 +43,7 @@ class ReadOptions:
 
 
 def motion_kind(path: str | Path) -> MotionKind:
-    """What a motion file is, told from its content.
+    """Format of a motion file, detected by its content.
 
     Raises:
         FormatError: it holds no motion that is read; the message says what it looks like.
@@ -131,7 +131,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
 
 
 def motion_bytes(motion: Motion) -> bytes:
-    """What `save_motion` writes."""
+    """Content of the file that `save_motion` writes."""
     stream = io.BytesIO()
     np.savez_compressed(
         stream, format=np.array(FORMAT), name=np.array(motion.name), fps=np.float64(motion.fps),

@@ -25,7 +25,7 @@ from h3data.geometry import Array, quat_conjugate, quat_multiply, quat_nlerp, qu
 
 SPEEDS_MPS = (0.3, 4.0)
 LEAST_STRIDE_M = 0.35
-"""Who gets no farther in a cycle of two steps stands, or treads on the spot."""
+"""Least distance covered in a cycle of two steps [m]; below it the person stands, or steps on the spot."""
 HALF = (0.3, 0.7)
 """Where in the cycle the right foot may strike: beyond it the right step is no step."""
 STANCES = {False: (0.58, 0.70), True: (0.25, 0.5)}
@@ -57,13 +57,13 @@ class Cycle:
     stance: float
     """Share of the cycle that a foot is on the floor."""
     strike: float
-    """How far ahead of the pelvis a foot strikes, in strides."""
+    """Distance ahead of the pelvis at which a foot strikes, in strides."""
     quats: Array
     """Local rotations [F, 55, 4]; those of the legs are not used."""
     pelvis: Array
     """[F, 3] [m]."""
     pitch: Array
-    """Of a foot over its own phase, toes up, [F] [deg]."""
+    """Pitch of a foot over its own phase, toes up, [F] [deg]."""
     flight: Array
     """What the ankle of a swinging foot is forward of and above the line between its places, at even shares of the swing, 0 at
     both ends, [S, 2] [m]."""

@@ -55,7 +55,7 @@ CARRY_CLOSE = np.stack(
     ],
     axis=1,
 )
-"""Their rotations where an arm holds something close to the body, [2, 4, 4]."""
+"""Rotations of the arm joints where an arm holds something close to the body, [2, 4, 4]."""
 
 
 def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -> None:

@@ -226,7 +226,7 @@ class ClipTable:
 
     @cached_property
     def arrays(self) -> ClipArrays:
-        """For `h3data.bodies.people.kernels.clips`."""
+        """Arrays that `h3data.bodies.people.kernels.clips` takes."""
         from h3data.bodies.people.kernels.clips import ClipArrays
 
         return ClipArrays(

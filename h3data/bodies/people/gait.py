@@ -28,7 +28,7 @@ _TURN_STANCE, _TURN_LIFT_M = 0.56, 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GaitStyle:
-    """What distinguishes walking from jogging. Angles in degrees, phases as shares of the cycle."""
+    """Parameters that distinguish walking from jogging. Angles are in degrees, phases are shares of the cycle."""
 
     stance: float
     pitch: tuple[tuple[float, float], ...]

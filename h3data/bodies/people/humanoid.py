@@ -79,9 +79,9 @@ class BodyCapsule:
     name: str
     joint: int
     start: Array
-    """In the joint frame, shape [3] [m]."""
+    """Start of the axis in the joint frame, shape [3] [m]."""
     end: Array
-    """In the joint frame, shape [3] [m]."""
+    """End of the axis in the joint frame, shape [3] [m]."""
     radius: float
 
 
@@ -136,7 +136,7 @@ class Humanoid:
 
     @cached_property
     def gait_tables(self) -> GaitTables:
-        """For `h3data.bodies.people.planted_gait`; made at first use (40 ms)."""
+        """Tables for `h3data.bodies.people.planted_gait`; made at first use (40 ms)."""
         from h3data.bodies.people.planted_gait import gait_tables
 
         return gait_tables(self.gaits)

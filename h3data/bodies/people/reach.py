@@ -37,7 +37,7 @@ Hand = Literal["left", "right"]
 ReachStatus = Literal["reached", "outside_box", "invalid_posture", "too_far"]
 HANDS: tuple[Hand, Hand] = ("right", "left")
 STATUSES: tuple[ReachStatus, ...] = ("reached", "outside_box", "invalid_posture", "too_far")
-"""In the order of the kernel's codes."""
+"""Results of reaching, in the order of the kernel's codes."""
 TABLE_FILE, TABLE_FORMAT = "bodies/reach/table.npz", "h3data.reach/1"
 """In a folder of its own: beside the bodies it would count as one."""
 ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
@@ -61,7 +61,7 @@ class BaseMotion(NamedTuple):
     forward_m: float
     right_m: float
     turn_rad: float
-    """To the left, after the move."""
+    """Turn to the left, after the move [rad]."""
 
     def of(self, base_pose: ArrayLike) -> Array:
         """The pose7 of a root at ``base_pose`` after this move."""
@@ -71,7 +71,7 @@ class BaseMotion(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReachResult:
-    """What comes of reaching for one point."""
+    """Result of reaching for one point."""
 
     status: ReachStatus
     """``reached``; ``outside_box``: beyond what postures were solved for; ``too_far``: inside, but the arm is too short (or
@@ -80,9 +80,9 @@ class ReachResult:
     quats: Array
     """Local rotations, shape [55, 4], as one row of `Humanoid.clip_pose`."""
     pelvis: Array
-    """In the agent root frame, shape [3] [m]. When not reached, the pose is the one for `nearest_valid`."""
+    """Position of the pelvis in the agent root frame, shape [3] [m]; that for `nearest_valid` if the target is not reached."""
     hand_error_m: float
-    """From the target to the palm of this pose."""
+    """Distance from the target to the palm in this pose [m]."""
     nearest_valid: Array
     """The target itself when reached, else a valid point near it, shape [3] [m]: exact to about 2 cm."""
     base_motion: BaseMotion | None
@@ -203,7 +203,7 @@ class ReachSolver:
         quats, pelvis = body.clip_pose([0], [0.0])
         root = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
         self.rest = hand_points(body.joint_matrices(root, quats, pelvis), body, hand)[0]
-        """Where the palm is when standing, shape [3] [m]."""
+        """Position of the palm of a standing person, shape [3] [m]."""
 
     def poses(self, targets: Array, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0) -> ReachPoses:
         """As `reach_poses`."""

@@ -24,7 +24,7 @@ ROTATION_WEIGHT_M = 0.25
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IkResult:
-    """What `solve_ik` found; arrays have the batch shape of the question."""
+    """Result of `solve_ik`; arrays have the batch shape of its targets."""
 
     joint_pos: NDArray[np.float64]
     """All joints of the robot, inside their limits, shape [*batch, J] [rad or m]."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 FIXED, TURNS, SLIDES, BALL = 0, 1, 2, 3
-"""How a link moves in its joint frame."""
+"""Types of motion of a link in its joint frame."""
 
 
 class JointTree(NamedTuple):

@@ -58,7 +58,7 @@ class RobotLeg:
     """A leg with hip roll, hip pitch and knee."""
 
     columns: tuple[int, int, int]
-    """Their columns in the joint positions."""
+    """Columns of these joints in the joint positions."""
     foot: Array
     """Middle of the foot in the frame of the link that the knee moves, shape [3] [m]."""
 
@@ -69,7 +69,7 @@ class JointTargets(NamedTuple):
     positions: NDArray[np.float64]
     """Inside the limits, shape [..., J] [rad or m]."""
     clamped: NDArray[np.bool_]
-    """Which of them were asked for beyond a limit, shape [..., J]."""
+    """Whether each requested position was beyond a limit, shape [..., J]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,7 +109,7 @@ class Robot:
     hand_link: int = -1
     """The link that grasps; -1 = none."""
     hand_position: Array = field(default_factory=lambda: np.zeros(3))
-    """Where it holds things, in the frame of that link, shape [3] [m]."""
+    """Position at which the hand holds things, in the frame of that link, shape [3] [m]."""
     hand_axes: Array = field(default_factory=lambda: np.eye(3))
     """Forward, left and upward directions of the hand in the frame of that link, as columns [3, 3]."""
     reach_bearing: float | None = None

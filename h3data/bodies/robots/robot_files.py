@@ -39,7 +39,7 @@ class RobotFiles(NamedTuple):
 
     urdf: Path
     settings: Path | None
-    """Its ``robot.toml``; None if it has none."""
+    """File ``robot.toml`` of the robot; None if it has none."""
 
 
 def robot_names() -> tuple[str, ...]:

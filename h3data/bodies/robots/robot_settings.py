@@ -21,7 +21,7 @@ class CameraSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     name: str
     link: str
     position: tuple[float, float, float]
-    """In the link frame [m]."""
+    """Position in the link frame [m]."""
     forward: tuple[float, float, float]
     """Viewing direction in the link frame."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -63,7 +63,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     hand_link: str = ""
     """Link that grasps; empty = the robot has no hand."""
     hand_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where things are held, in the frame of that link [m]."""
+    """Position at which the hand holds things, in the frame of that link [m]."""
     hand_forward: tuple[float, float, float] = (1.0, 0.0, 0.0)
     """Direction in which the hand reaches for things, in the frame of that link."""
     hand_up: tuple[float, float, float] = (0.0, 0.0, 1.0)

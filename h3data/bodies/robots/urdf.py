@@ -70,7 +70,7 @@ class UrdfMimic:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UrdfJoint:
-    """What holds ``child`` to ``parent``."""
+    """Joint that connects ``child`` to ``parent``."""
 
     name: str
     kind: JointKind

@@ -50,7 +50,7 @@ class FoxgloveCamera:
 
 @dataclass(frozen=True)
 class FoxgloveFile:
-    """What was written."""
+    """Result of writing a Foxglove file."""
 
     path: Path
     topics: tuple[str, ...]

@@ -49,7 +49,7 @@ def export_habitat_episodes(recordings: Iterable[Recording], request: ExportRequ
 
 @dataclass(frozen=True, kw_only=True)
 class WrittenEpisodes:
-    """What was written."""
+    """Result of writing an episode file."""
 
     config: Path
     """The scene dataset."""

@@ -46,9 +46,9 @@ class ColladaPart:
     """The triangles of one primitive, every corner on its own, where one node puts it."""
 
     mesh: Mesh
-    """In the geometry's own frame and units."""
+    """Mesh in the geometry's own frame and units."""
     matrix: Array
-    """To metres and +Z up, 4x4."""
+    """Matrix to metres and +Z up, 4x4."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +59,7 @@ class _Primitive:
     positions: Array
     normals: Array | None
     uv: dict[int, Array]
-    """By their set."""
+    """Texture coordinates by the number of their set."""
     colors: Array | None
 
 

@@ -79,7 +79,7 @@ class FittedMeans:
     fit: GlmmFit
     means: MarginalMeans
     differences: tuple[Contrast, ...]
-    """On the response scale, p adjusted by Tukey's method."""
+    """Pairwise differences on the response scale, with p adjusted by Tukey's method."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,7 +93,7 @@ class StudyAnalysis:
     """Number of episodes by condition."""
     metrics: tuple[Metric, ...]
     estimates: Mapping[str, Mapping[str, Estimate]]
-    """By metric and condition."""
+    """Estimates by metric and condition."""
     compared: str
     """Name of the metric whose means are contrasted; empty: none could be."""
     models: tuple[FittedMeans, ...]

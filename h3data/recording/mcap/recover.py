@@ -24,7 +24,7 @@ class Recovery:
     bytes_read: int
     bytes_total: int
     reason: str
-    """Why the whole original could not be read."""
+    """Reason why the whole original could not be read."""
 
 
 def recover_mcap(

@@ -64,7 +64,7 @@ class McapSteps(Steps):
         self._chunks: list[Any] = []
         self._attachments: list[int] = []
         self._metadata_records: int | None = None
-        """How many the log has, if its summary says so."""
+        """Number of metadata records in the log, if its summary says so."""
         self._read_summary()
         self._places = {
             channel: self._places_of(channel)

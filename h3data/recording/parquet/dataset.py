@@ -74,11 +74,11 @@ class Dataset(DatasetFolder):
         return self.all().filter(keep, **equal)
 
     def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:
-        """As `Episodes.split`: ``train, test = ds.split(0.8, by="scene")``."""
+        """Splits the episodes as `Episodes.split`: ``train, test = ds.split(0.8, by="scene")``."""
         return self.all().split(*shares, seed=seed, by=by)
 
     def merge(self, *others: HasEpisodes) -> Episodes:
-        """As `Episodes.merge`: ``ds.merge(other).save("both/")``."""
+        """Combines episodes as `Episodes.merge`: ``ds.merge(other).save("both/")``."""
         return self.all().merge(*others)
 
     def recording(
@@ -150,7 +150,7 @@ class Dataset(DatasetFolder):
         return tuple(video.camera for video in self.schema.videos)
 
     def video(self, index: int, camera: str) -> EpisodeVideo:
-        """What a camera saw in episode ``index``, one frame for each step; `EpisodeVideo.frames` decodes it.
+        """Video of a camera in episode ``index``, with one frame for each step; `EpisodeVideo.frames` decodes it.
 
         Raises:
             InputError: there is no such episode or camera, or the episode has no steps.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-"""By the names that LeRobot gives them."""
+"""Quantiles by the names that LeRobot gives them."""
 STATISTICS = ("min", "max", "mean", "std", *QUANTILES)
 """Numbers of a feature beside its count."""
 

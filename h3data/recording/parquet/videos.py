@@ -33,7 +33,7 @@ MAX_FILE_BYTES = 200 << 20
 
 @dataclass(frozen=True, kw_only=True)
 class VideoFeature:
-    """What all videos of one camera have in common."""
+    """Properties that all videos of one camera share."""
 
     camera: str
     width: int
@@ -76,7 +76,7 @@ class EpisodeVideo:
     """Number of frames."""
     fps: int
     moments: Moments
-    """Of the channels R, G, B over all pixels, in 0..1."""
+    """Moments of the channels R, G, B over all pixels, in 0..1."""
     start: int = 0
     """Frame of the file with which the episode begins, a key frame."""
 

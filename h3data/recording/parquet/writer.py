@@ -36,7 +36,7 @@ from h3data.recording.storage import RemotePath, place, put_tree, remove_tree
 
 EPISODES_PER_FILE = 100
 _WRITER = "h3/writer"
-"""Who writes a dataset in an object store; gone when it is closed."""
+"""File that names the process that writes a dataset in an object store; deleted when the dataset is closed."""
 
 
 class DatasetWriter:

@@ -48,13 +48,13 @@ _DARK = 1e-4
 
 @dataclass(frozen=True)
 class LitScene:
-    """What a `RenderScene` is made of, and the light for its renderer."""
+    """Meshes and instances for a `RenderScene`, and the light for its renderer."""
 
     meshes: list[Mesh]
     instances: list[RenderInstance]
     light: Light
     mirrors: dict[int, NDArray[np.float32]]
-    """What glossy meshes mirror, for `RenderScene`."""
+    """Light that glossy meshes mirror, for `RenderScene`."""
     field: LightField | None
     """Light on what moves and its shadows (`Renderer.set_blockers`); None if there is no light to bake."""
 

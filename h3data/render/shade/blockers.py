@@ -73,7 +73,7 @@ _ALL, _ONE = 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Blockers:
-    """What keeps light from surfaces at one moment, and the light on what moves."""
+    """Capsules that keep light from surfaces at one step, and the light on moving instances."""
 
     rows: NDArray[np.float32]
     """Capsules as laid out in `blockers_simd`, those of a group one after another, shape [N, BLOCKER_WORDS]."""

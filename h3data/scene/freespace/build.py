@@ -34,7 +34,7 @@ SMOOTH_M = 1e-4
 SMOOTH_VOXEL_M = 2e-3
 """The same for voxels: a slanting wall is a staircase, whose inflated outline is scalloped by about 1 mm."""
 BORDER_M = 0.3
-"""How far the distance grid goes beyond the floor."""
+"""Width of the border of the distance grid around the floor [m]."""
 ISLAND_MIN_M2 = 0.01
 """Smaller patches are rounding, not places."""
 ISLAND_MIN_VOXEL_M2 = 1.0
@@ -181,7 +181,7 @@ def build_from_walkable(
 
 
 def without_stairs(floor: FloorMap) -> FloorMap:
-    """The same floor for what cannot climb: flights of stairs are obstacles, so storeys are islands."""
+    """Floor for agents that cannot climb: flights of stairs are obstacles, so that storeys are islands."""
     heights = floor.heights.copy()
     flights = [shapely.box(*flight_rectangle(row)) for row in heights if row[STEPS]]
     heights[:, STEPS] = 0  # nobody sets a foot on them

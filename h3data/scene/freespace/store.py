@@ -50,7 +50,7 @@ def save(space: FloorMap, path: Path, *, lattice: Lattice | None = None) -> None
 
 
 def load(path: Path) -> tuple[FloorMap, Lattice | None]:
-    """What `save` wrote."""
+    """Free space from a file that `save` wrote."""
     if not path.is_file():
         raise InputError(f"No such free-space file: {path}")
     try:

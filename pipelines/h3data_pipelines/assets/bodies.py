@@ -120,13 +120,13 @@ class BodiesBake:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """.npz file to write; its stem becomes the body's name."""
     gender: float = 0.5
-    """From 0 (male) to 1 (female)."""
+    """Gender from 0 (male) to 1 (female)."""
     age: float = 0.67
     """0.3 (child), 0.67 (young adult) to 1 (old)."""
     stature: float = 1.70
     """Standing height [m]."""
     weight: float = 0.45
-    """From 0 (thin) to 1 (heavy)."""
+    """Weight from 0 (thin) to 1 (heavy)."""
     muscle: float = 0.5
     """Muscularity from 0 to 1."""
     african: float = 0.0

@@ -41,7 +41,7 @@ class RobotsShow:
     views: int = 6
     """How many, all around."""
     width: int = 1600
-    """Of the picture [pixels]."""
+    """Width of the picture [pixels]."""
     up: UpChoice = "z"
     force: ForceFlag = False
     json: JsonFlag = False

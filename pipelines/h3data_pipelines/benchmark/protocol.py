@@ -58,7 +58,7 @@ class Cell:
 
 
 class Run(NamedTuple):
-    """What the timed steps of one run took."""
+    """Times of the steps of one run."""
 
     wall_s: float
     cpu_s: float

@@ -129,7 +129,7 @@ class Evaluate:
     """Partners that no robot was trained with, whose mean is shown as the zero-shot column (default: the paper's four
     planners, both, object_1, object_2 and still, if all play, and the ten of these and the learned ones, if they do)."""
     scenes: tuple[str, ...]
-    """As of h3data generate."""
+    """Scenes, as for h3data generate."""
     episodes_file: Path | None
     """Episode file instead of --scenes, as of h3data generate: one of ours, in rearrange also Habitat's or PARTNR's."""
     assets: AssetsOption

@@ -98,7 +98,7 @@ class Export:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The file (gfx-replay, gltf, foxglove, robomimic) or folder (csv, lerobot, habitat-episodes)."""
     agent: str | None
-    """Whose actions are learned, for lerobot and robomimic (default: the first robot that acts)."""
+    """Agent whose actions are learned, for lerobot and robomimic (default: the first robot that acts)."""
     assets: tuple[Path, ...]
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS)."""
     person_detail: PersonDetail

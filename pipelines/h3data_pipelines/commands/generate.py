@@ -228,7 +228,7 @@ class Generate:
     """Cameras whose videos are added to the dataset (observation.images.<name>), as in rerender."""
     people: PeopleOption
     light: LightOption
-    """Of the videos. Policies that see colours are shown the light that they have learned in."""
+    """Light of the videos. Policies that see colours get the light of their training."""
     backend: BackendOption
     workers: int
     """Processes."""

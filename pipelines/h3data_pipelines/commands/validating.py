@@ -79,7 +79,7 @@ class Validate:
         return Outcome(text=_text(rows, failed), data=data, exit_code=1 if failed else 0)
 
     def row(self, source: StoredEpisode, read: Callable[[], Recording], library: Any, *, alone: bool) -> dict[str, Any]:
-        """What is found in one recording, which ``read`` returns."""
+        """Findings in one recording, which ``read`` returns."""
         from h3data.replay.validation import Finding, validate_recording
 
         steps = 0

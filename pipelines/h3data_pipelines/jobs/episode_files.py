@@ -37,7 +37,7 @@ class FileJobs(NamedTuple):
 
 
 class MissingEpisodes(Protocol):
-    """What was made of an episode file."""
+    """Report on the episodes of a file that cannot be played."""
 
     @property
     def left_out(self) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SAMPLED_BODIES = ("any", "random")
 """As the name of a body: each episode samples one of the built-in ones, or makes one of its seed."""
 SOLO = "solo"
-"""As a policy: robots take no part."""
+"""Name of the policy with which robots take no part."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Job:
     partner: str | None = None
     """Policies of people."""
     agents: tuple[str, ...] | None = None
-    """Who is there (`sim_kinematic.agents.roster.make_roster`); None: the task's roster."""
+    """Agents of the episode (`sim_kinematic.agents.roster.make_roster`); None: the task's roster."""
     human: str | None = None
     """Body of people named by their kind; None: the episode's, else the default."""
     robot: str | None = None
@@ -228,7 +228,7 @@ class Choices:
 
 
 def with_skills(choices: Choices, skills: str) -> Choices:
-    """The same with learned skills, or `ORACLE` ones; with none where ``skills`` is empty.
+    """Rules with learned skills, or `ORACLE` ones; with none if ``skills`` is empty.
 
     Raises:
         InputError: the task has no skills, or there are no such files.

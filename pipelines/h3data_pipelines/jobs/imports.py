@@ -30,7 +30,7 @@ class ImportJob:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedFile:
-    """What became of one file."""
+    """Result of importing one file."""
 
     source: Path
     status: Literal["imported", "kept", "skipped", "failed"]
@@ -55,7 +55,7 @@ class ImportedFile:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportResult:
-    """What became of every file."""
+    """Results of importing all files."""
 
     files: tuple[ImportedFile, ...]
     manifest_notes: tuple[str, ...] = ()

@@ -19,7 +19,7 @@ class PolicyTable:
 
     profile: Profile
     cells: dict[tuple[str, str], Summary]
-    """By policy and metric."""
+    """Summaries by policy and metric."""
     seeds: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """Policies that are one row, by the pattern that names them."""
     deviations: tuple[str, ...] = ()

@@ -100,7 +100,7 @@ class CacheClear:
     """
 
     names: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Of caches, as `h3data cache list` shows them; nothing means all."""
+    """Names of caches, as `h3data cache list` shows them; none means all."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:

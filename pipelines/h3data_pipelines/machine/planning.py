@@ -45,7 +45,7 @@ class Plan:
     cameras: tuple[str, ...] = ()
     """Cameras whose videos are added: robot_arm, human_head or top_down."""
     price: float = 0.02
-    """Of a core for an hour, in your currency; spot prices differ by place and day."""
+    """Price of a core for an hour, in your currency; spot prices differ by place and day."""
     lost_nodes: float = 0.05
     """Share of the nodes that die in an hour, as spot machines do; each costs half a shard, a start and its homes."""
     costs: Path | None = None

@@ -73,7 +73,7 @@ class Close:
     """Closes it."""
 
     joint: str | int
-    """As of `Open`."""
+    """Door or drawer to close, as for `Open`."""
 
 
 Do = Pick | Place | Drop | HandOver | Open | Close

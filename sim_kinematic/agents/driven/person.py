@@ -55,7 +55,7 @@ class DrivenPerson(PersonActor):
     object_room: ObjectRoom | None = None
     """Tests where an object fits; None: it fits everywhere."""
     radius_m: float = 0.25
-    """Of the disc that keeps clear of obstacles."""
+    """Radius of the disc that keeps clear of obstacles [m]."""
     actors: Sequence[PersonActor | RobotActor] = ()
     """All agents of the episode, by number."""
     others_discs: Callable[[], Array] | None = None

@@ -28,9 +28,9 @@ class RoomDoors:
     """The doors between the rooms of a home, and its floor with all of them open."""
 
     scene: Scene
-    """With the doors as they are at rest."""
+    """Home with the doors as they are at rest."""
     open_scene: Scene
-    """With all of them open; the same record where none is closed."""
+    """Home with all doors open; the same record if none is closed."""
     open_floor: FreeSpace
     joints: tuple[int, ...]
     """Numbers of their joints."""

@@ -22,7 +22,7 @@ class ReachQuery(NamedTuple):
     """A place and the home in which hands get there."""
 
     scene: Scene
-    """With what encloses the place open."""
+    """Home with the doors and drawers around the place open."""
     point: Array
     """Where the place is then, shape [3] [m]."""
     taken: NDArray[np.float64]

@@ -37,34 +37,34 @@ AIMED_RAD = 1e-3
 """A person faces a point within this angle."""
 
 
-class Errand(NamedTuple):
+class SubGoal(NamedTuple):
     """Where a skill with an object leads."""
 
     ways: Ways
-    """To the places from which the agent reaches it."""
+    """Shortest paths to the places from which the agent reaches the object."""
     point: Array
     """[3] [m]."""
 
 
 @dataclass(eq=False)
-class Errands:
-    """Of one agent: the paths to where it takes each object and puts it down."""
+class SubGoals:
+    """Sub-goals of one agent: paths to where it takes each object and puts it down."""
 
     oracle: OracleSpec
     to_start: Sequence[Ways]
-    """To each object where it lies at the beginning, and ``to_goal`` to its goal."""
+    """Paths to the initial place of each object; ``to_goal`` has those to its goal."""
     to_goal: Sequence[Ways]
     starts: Array
     """[K, 3] [m]."""
     goals: Array
 
-    def of(self, action: Action, poses: Array) -> Errand:
-        """That of a skill with an object, given their poses [K, 7]."""
+    def of(self, action: Action, poses: Array) -> SubGoal:
+        """Sub-goal of a skill with an object, given the poses [K, 7] of all objects."""
         k = action.target
         moved = action.skill in ("nav_to_goal", "place") or bool((poses[k, :3] == self.goals[k]).all())
-        return Errand((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
+        return SubGoal((self.to_goal if moved else self.to_start)[k], (self.goals if moved else self.starts)[k])
 
-    def reaches(self, errand: Errand, xz: Array, error_rad: float) -> bool:
+    def reaches(self, errand: SubGoal, xz: Array, error_rad: float) -> bool:
         """Whether an agent at a floor point [2] is at one of the places, and faces the point but for an angle."""
         gap = errand.ways.ends - xz
         there = (gap[:, 0] ** 2 + gap[:, 1] ** 2 <= self.oracle.reach_m**2).any()
@@ -79,7 +79,7 @@ def carry_point(body: Robot | Humanoid) -> Array:
     return np.array(CARRY) * reacher(body, "right").body.scale
 
 
-def _way(errand: Errand, number: int, xz: Array, within_m: float) -> tuple[int, float]:
+def _way(errand: SubGoal, number: int, xz: Array, within_m: float) -> tuple[int, float]:
     """The point to go to now, and how far it is: the next one where a corner has been reached."""
     ways = errand.ways
     away = float(np.hypot(*(ways.points[number] - xz)))
@@ -93,7 +93,7 @@ def _way(errand: Errand, number: int, xz: Array, within_m: float) -> tuple[int, 
 class OracleRobot(RobotActor):
     """A robot with oracle skills."""
 
-    errands: Errands = field(kw_only=True)
+    errands: SubGoals = field(kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -116,11 +116,11 @@ class OracleRobot(RobotActor):
             return self._go(errand)
         return _handling(self, action, errand, partial(self._step, 0.0, 0.0), self.errands.oracle.robot_steps)
 
-    def facing_error(self, errand: Errand) -> float:
-        """By how much it must turn to have what it came for in its reach direction [rad]."""
+    def facing_error(self, errand: SubGoal) -> float:
+        """Angle by which the robot must turn to have its target in its reach direction [rad]."""
         return self._error_to(errand.point[[0, 2]], reach_bearing(self.robot))
 
-    def _go(self, errand: Errand) -> Skill:
+    def _go(self, errand: SubGoal) -> Skill:
         """Drives along a path, and at its end turns until the hand points at what it came for."""
         ways, (number, best, since) = errand.ways, (errand.ways.start(self.xz), np.inf, 0)
 
@@ -163,7 +163,7 @@ class OracleRobot(RobotActor):
 class OraclePerson(PersonActor):
     """A person with oracle skills; what they hold is before their chest."""
 
-    errands: Errands = field(kw_only=True)
+    errands: SubGoals = field(kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -184,12 +184,12 @@ class OraclePerson(PersonActor):
             return self._go(errand)
         return _handling(self, action, errand, self._stand, self.errands.oracle.person_steps)
 
-    def facing_error(self, errand: Errand) -> float:
-        """By how much they must turn to face what they came for [rad]."""
+    def facing_error(self, errand: SubGoal) -> float:
+        """Angle by which the person must turn to face their target [rad]."""
         dx, dz = errand.point[[0, 2]] - self.xz
         return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
 
-    def _go(self, errand: Errand) -> Skill:
+    def _go(self, errand: SubGoal) -> Skill:
         """Walks straight from corner to corner, turning on the spot at each, and at the end turns to what they came for."""
         ways, number, within = errand.ways, errand.ways.start(self.xz), self.spec.arrive_m
         while True:
@@ -242,7 +242,7 @@ def _refusal(actor: OracleRobot | OraclePerson, action: Action) -> str:
 def _handling(
     actor: OracleRobot | OraclePerson,
     action: Action,
-    errand: Errand,
+    errand: SubGoal,
     stands: Callable[[], None],
     steps: tuple[int, int],
 ) -> Skill:
@@ -257,7 +257,7 @@ def _handling(
     return SkillResult("done")
 
 
-def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: Errand) -> str:
+def _hand_over(actor: OracleRobot | OraclePerson, action: Action, errand: SubGoal) -> str:
     """Takes an object or puts it down; returns why that fails."""
     objects, k = actor.objects, action.target
     if action.skill == "place":

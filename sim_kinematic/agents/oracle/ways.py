@@ -48,7 +48,7 @@ class FloorCells:
     """Corners of cell c are ``corners[start[c]:start[c + 1]]``, [C + 1]."""
     corners: NDArray[np.int32]
     away: Array
-    """From the middle to each of them [m]."""
+    """Distance from the middle to each of them [m]."""
     whole: NDArray[np.bool_]
     """Whether it is seen from all of the cell."""
 

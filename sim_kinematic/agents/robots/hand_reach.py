@@ -79,7 +79,7 @@ class _StretchedArm(NamedTuple):
     """Where the last point is whose place follows from the pose of the hand, from there, in the frame of the hand's link [3]
     [m]."""
     length_m: float
-    """From one to the other, at most."""
+    """Largest distance from one to the other [m]."""
 
 
 @lru_cache(maxsize=32)

@@ -45,7 +45,7 @@ from sim_kinematic.motion.step import drive_robots
 HORIZON_M = 1000.0
 """A point so far away is in one direction from wherever the base stands."""
 TRIED, TURN_M_RAD = 24, 1.0
-"""So many of the nearest stands are looked at, and turning there by one radian counts as so much of a path [m]."""
+"""Number of nearest stands that are compared, and length of path that counts as much as turning by one radian [m]."""
 ARM_OUT_M = 0.05
 """A base stands while the hand is farther from its middle than this beyond the folded arm's."""
 
@@ -204,7 +204,7 @@ class RobotActor(RobotDriver):
         return robot_stands(free, self.robot, base or self.base, point, island=island_of(free, self.xz))
 
     def stands_on(self, free: FreeSpace, point: NDArray) -> Array:
-        """As `stands`, were the floor as in ``free``."""
+        """Stands on the floor ``free``."""
         return self.stands(point, free=free)
 
     def _navigate_to_handle(self, k: int) -> Skill:

@@ -46,7 +46,7 @@ gets zeros there."""
 
 
 class Encoding(NamedTuple):
-    """How the numbers of an observation become inputs."""
+    """Conversion of the numbers of an observation to inputs of the network."""
 
     of: Callable[[Floats], Floats]
     """Units [n, given] -> [n, length]."""
@@ -219,7 +219,7 @@ def _sigmoid(x: Floats) -> Floats:
 
 
 def shapes(card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-    """Of all arrays, by name, with the widths that those at hand have."""
+    """Shapes of all arrays by name, with the widths that the given ones have."""
 
     def width(name: str) -> int:
         return arrays[name].shape[0] if name in arrays and arrays[name].ndim else 0

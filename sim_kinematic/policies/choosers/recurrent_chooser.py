@@ -53,7 +53,7 @@ class RecurrentSkillPolicy:
         self.choices = choices(objects, robot=robot)
         self.state = network.start()
         self.seed = 0
-        """Of the episode."""
+        """Seed of the episode."""
         self._thought, self._times = 0, 0
 
     def require_body(self, body: str) -> None:
@@ -66,7 +66,7 @@ class RecurrentSkillPolicy:
             raise FormatError(f"These weights drive the robot {self.network.card.robot}, the episode has {body}.")
 
     def act(self, view: RearrangeView) -> Action:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""
+        """Next action, sampled by the scores of the network."""
         card = self.network.card
         shown = observe(view, card.observations)
         each, rest = encoded(shown, agent=card.agent, objects=card.objects, observations=card.observations)
@@ -83,7 +83,7 @@ class RecurrentSkillPolicy:
         return int(np.argmax(scores + rng.gumbel(size=len(scores))))
 
     def interrupts(self, view: RearrangeView) -> str:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""
+        """Reason to interrupt the running action and choose again; empty if there is none."""
         action = view.action
         if action is None or action.skill not in ("nav_to_object", "nav_to_goal"):
             return ""

@@ -112,7 +112,7 @@ class ResNetLSTM(nn.Module):
         self.state_length = 2 * LAYERS * hidden
 
     def features(self, pixels: Tensor | None, numbers: Tensor) -> Tensor:
-        """What goes into the recurrent layers, [n, F], of pictures [n, planes, H, W] and numbers [n, N]."""
+        """Input of the recurrent layers, [n, F], for pictures [n, planes, H, W] and numbers [n, N]."""
         if self.visual is None or pixels is None:
             return numbers
         with torch.autocast(pixels.device.type, torch.bfloat16, enabled=pixels.is_cuda):
@@ -121,7 +121,7 @@ class ResNetLSTM(nn.Module):
         return torch.cat([seen.float(), numbers], -1)
 
     def remember(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """What is known after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
+        """Output of the recurrent layers after each step [T, n, H], and the last state [n, S], of features [T, n, F]."""
         long, short = state.unflatten(1, (2 * LAYERS, -1)).transpose(0, 1).contiguous().chunk(2)
         out, (long, short) = self.lstm(x, (long, short))
         return out, torch.cat([long, short]).transpose(0, 1).flatten(1)
@@ -148,11 +148,11 @@ class ResNetPolicy(VisualPolicy):
     kind = KIND
 
     def start(self) -> Floats:
-        """As of `VisualPolicy`."""
+        """Recurrent state at the start of an episode [H]."""
         return np.zeros(2 * LAYERS * self.arrays["lstm.weight_hh_l0"].shape[1], np.float32)
 
     def __call__(self, shown: Mapping[str, NDArray[Any]], last: Floats, state: Floats) -> tuple[Floats, Floats]:
-        """As of `VisualPolicy`."""
+        """Action [n] and next state [H], for observations by name, the last action [n] and the state [H]."""
         numbers = torch.as_tensor(self._numbers(shown, last))[None]
         pixels = pixels_of(torch.as_tensor(np.ascontiguousarray(self._picture(shown)))[None]) if self.sees else None
         with torch.no_grad(), one_thread():
@@ -168,14 +168,14 @@ class ResNetPolicy(VisualPolicy):
 
     @classmethod
     def shapes(cls, card: PolicyCard, arrays: Mapping[str, Floats]) -> dict[str, tuple[int, ...]]:
-        """As of `VisualPolicy`."""
+        """Shapes of all weights by name, for the sizes in a card."""
         with torch.device("meta"):
             net = _net(card, arrays)
         return {name: tuple(tensor.shape) for name, tensor in net.named_parameters()}
 
     @classmethod
     def size_fault(cls, size: tuple[int, int]) -> str:
-        """As of `VisualPolicy`."""
+        """Sentence about what is wrong with a picture size; empty if it is supported."""
         return "" if all(LEAST_SIDE <= side <= 1024 for side in size) else f"sides of {LEAST_SIDE} to 1024"
 
 

@@ -58,14 +58,14 @@ class NetworkSkill:
         return TASKS[self.network.card.task]
 
     def infeasible(self, actor: RobotActor, action: Action) -> str:
-        """As `sim_kinematic.agents.skills.LearnedSkill.infeasible`."""
+        """Reason why the skill cannot begin; empty if it can."""
         if action.skill in ("nav_to_object", "nav_to_goal"):
             return ""
         gap = self._point(actor, action)[[0, 2]] - actor.xz
         return "out_of_reach" if float(np.hypot(*gap)) > BEGINS_WITHIN_M else ""
 
     def start(self, actor: RobotActor, action: Action) -> Skill:
-        """As `sim_kinematic.agents.skills.LearnedSkill.start`."""
+        """Begins the skill: the network is evaluated in each step until the skill succeeds or fails."""
         point = self._point(actor, action)
         stand = actor.open_stand(point)
         if stand is None:

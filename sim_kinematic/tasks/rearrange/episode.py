@@ -56,9 +56,9 @@ SPOT_ATTEMPTS = 20
 LIFT_M = 0.001
 """Things float this much over their surface, so that a collision check does not call them stuck in it."""
 HANDLING_S = 4.5
-"""What a person is taken to need for one object, beside walking and turning."""
+"""Estimated time that a person needs for one object, besides walking and turning [s]."""
 OPENING_S = 9.0
-"""What a person is taken to need for opening one door or drawer."""
+"""Estimated time that a person needs to open one door or drawer [s]."""
 STANDS_WITHIN_M = 1.0
 """A person stands nearer than this to what they take or put down."""
 SNAP_M = 2.0
@@ -91,7 +91,7 @@ class RearrangeSpec:
     """Speed of the robot's arm joints; infinite: objects are in the hand at once, as with Habitat's oracle skills."""
     end_on_collision: bool = True
     reward: str = "paper"
-    """Which of `sim_kinematic.tasks.rules.rewards.REARRANGE_REWARDS`."""
+    """Reward profile, a name in `sim_kinematic.tasks.rules.rewards.REARRANGE_REWARDS`."""
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
     robot: BaseSpec = HOME_BASE
@@ -136,7 +136,7 @@ ORACLE_RULES = RearrangeSpec(
 
 
 def with_oracle_skills(spec: RearrangeSpec) -> RearrangeSpec:
-    """The same rules but for those that `ORACLE_RULES` is about."""
+    """Rules with those for oracle skills taken from `ORACLE_RULES`."""
     fields = ("max_steps", "robot", "human", "arm_rad_s", "people_give_way", "oracle")
     return replace(spec, **{name: getattr(ORACLE_RULES, name) for name in fields})
 
@@ -150,11 +150,11 @@ class Target(NamedTuple):
     """One object and where it is to go."""
 
     name: str
-    """Of the instance in the scene."""
+    """Name of the object's instance in the scene."""
     start: Array
     """pose7 in the world at the beginning."""
     goal: Array
-    """Where its origin should come to be, shape [3] [m]."""
+    """Goal position of the object's origin, shape [3] [m]."""
     source: str
     """The receptacle it lies on, ``instance|receptacle``."""
     destination: str
@@ -189,11 +189,11 @@ class RearrangeEpisode(Episode):
         return load_humanoid(self.pair[1])
 
     def only(self, *numbers: int) -> RearrangeEpisode:
-        """The same episode with some of its agents."""
+        """Episode with only some of its agents."""
         return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
 
     def played_by(self, agents: str | Sequence[str]) -> RearrangeEpisode:
-        """The same episode with other agents.
+        """Episode with other agents.
 
         Raises:
             InputError: there are no such agents.
@@ -327,7 +327,7 @@ class _EpisodeSampler:
     human: Humanoid
     surfaces: list[tuple[Instance, Receptacle]]
     doorways: RoomDoors
-    """Of the home; ``scene`` and ``free`` have all doors open."""
+    """Doors between the rooms of the home; ``scene`` and ``free`` have all of them open."""
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
     """A person's, by point."""
     _openable: dict[int, bool] = field(default_factory=dict)

@@ -47,7 +47,7 @@ from sim_kinematic.agents.skills import (
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
-from sim_kinematic.avoidance.stand_offs import Errand
+from sim_kinematic.avoidance.stand_offs import TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
@@ -88,7 +88,7 @@ TRACK = 31
 IDLE_SKILLS = ("wait", CONTROL, *PRIMITIVES)
 """Skills by whose end an agent has completed nothing."""
 CHOICES = 9
-"""So many skills that end at once an agent may choose in one step, then it does nothing."""
+"""Number of skills ending at once that an agent may choose in one step, after which it does nothing."""
 
 
 @dataclass(eq=False)
@@ -96,7 +96,7 @@ class SkillExecutor:
     """One agent: its running skill, and what comes next."""
 
     number: int
-    """Of the agent, as in the state and in the recording."""
+    """Number of the agent, as in the state and in the recording."""
     actor: AnyActor
     policy: HighLevelPolicy
     spans: list[SkillSpan]
@@ -208,9 +208,9 @@ class RearrangeRollout:
     step: int = 0
     """The step that is being played, from 0."""
     steps: int = 0
-    """How many are over."""
+    """Number of steps made."""
     reward: float = 0.0
-    """Of the last step."""
+    """Reward of the last step."""
     ended: str = "max_steps"
     events: list[Event] = field(default_factory=list)
     spans: list[SkillSpan] = field(default_factory=list)
@@ -237,7 +237,7 @@ class RearrangeRollout:
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state, joints)
         self.doorways = RoomDoors.of(world.scene, world.free)
         self.floor = world.free
-        """As it is now, with the doors and drawers that are open."""
+        """Present free floor, with doors and drawers as they stand."""
         self.openables, self._scene = self._openables(), world.scene
         self.starts = state.object_pose[0, :, :3].copy()
         self.actors = [self._actor(number) for number in range(len(world.roster))]
@@ -375,7 +375,7 @@ class RearrangeRollout:
                     actor.object_room = ObjectRoom(scene, self.objects.names, floor_y)
 
     def turns(self) -> Generator[int | None, Action, None]:
-        """As `sim_kinematic.tasks.play.Rollout.turns`."""
+        """Plays the episode to its end: yields each agent that must choose, and None after each step."""
         spec = self.episode.spec
         for self.step in range(spec.max_steps):
             held, joints = self.objects.held_by.copy(), self.state.joint_pos[0].copy()
@@ -475,13 +475,13 @@ class RearrangeRollout:
             barrier=partial(self.barrier, me),
         )  # fmt: skip
 
-    def errand(self, number: int) -> Errand:
-        """What an agent is about now."""
+    def errand(self, number: int) -> TaskProgress:
+        """Progress of an agent with its present task."""
         runner = self.runner(number)
         skill, k = runner.action[:2]
         driven = isinstance(runner.actor, DrivenPerson) or skill in (CONTROL, *PRIMITIVES)
         busy = runner.skill is not None and skill not in IDLE_SKILLS
-        return Errand(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
+        return TaskProgress(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
 
     def _left_m(self, runner: SkillExecutor) -> float:
         """Length of the path to the object, goal or handle to which an agent is going [m]; infinite: it goes nowhere."""
@@ -605,7 +605,7 @@ class RearrangeRollout:
         return row
 
     def columns(self, snapshots: Sequence[Row], first: int) -> Columns:
-        """As `sim_kinematic.tasks.play.Rollout.columns`."""
+        """Columns of a recording from the snapshots of consecutive steps."""
         count = len(snapshots)
         block: Columns = {"time_ns": np.arange(first + 1, first + count + 1, dtype=np.int64) * STEP_NS}
         for name in snapshots[0]:

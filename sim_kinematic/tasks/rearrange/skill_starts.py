@@ -40,14 +40,14 @@ class SkillStart:
     holds: bool
     """Whether that is in its hand."""
     point: Array
-    """Where the object lies, or is to go, [3] [m]."""
+    """Position of the object, or of its goal, [3] [m]."""
     stand_xz: Array
     """The place nearest to the start, by the path there, from which the hand reaches the point, [2] [m]."""
     xz: Array
-    """Where the robot stands, [2] [m]."""
+    """Position of the robot, [2] [m]."""
     heading: float
     objects: Array
-    """Where the objects lie, [K, 3] [m]; of the one in the hand it has no meaning."""
+    """Positions of the objects, [K, 3] [m]; that of an object in the hand has no meaning."""
 
 
 def check_skill(skill: str) -> Skill:

@@ -232,7 +232,7 @@ class Rearrange(Task):
         return choice
 
     def idle_choice(self, play: Rollout, number: int, last: Any) -> Action:
-        """To go on with what is running or with the last velocity, else to stand for a step."""
+        """Choice to continue the running skill or the last velocity, otherwise to stand for a step."""
         assert isinstance(play, RearrangeRollout)
         runner = play.runner(number)
         if runner.skill is not None:
@@ -337,20 +337,20 @@ class Rearrange(Task):
             what += f":{episode.pair_starts.places.tolist()}:{[goal_record(target) for target in episode.targets]}"
         return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
 
-    def hindsight(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
         assert isinstance(play, RearrangeRollout)
         assert isinstance(episode, RearrangeEpisode)
         alone = [policy.plan for policy in policies] == ["both"]
         return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(episode)}
 
-    def foresight(self, episode: Episode) -> dict[str, Any]:
+    def precompute(self, episode: Episode) -> dict[str, Any]:
         """Number of steps in which the first person alone would finish, for relative metrics."""
         assert isinstance(episode, RearrangeEpisode)
         return {"solo_steps": solo_steps_of(episode)}
 
-    def recall(self, episode: Episode, facts: Mapping[str, Any]) -> None:
-        """Stores the solo steps that another process has computed with `foresight`."""
+    def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
+        """Stores the solo steps that another process has computed with `precompute`."""
         if "solo_steps" in facts:
             vars(episode)[_SOLO_STEPS] = int(facts["solo_steps"])
 

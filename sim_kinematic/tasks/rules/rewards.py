@@ -32,7 +32,7 @@ def check_profile(profile: str) -> None:
 
 
 class Encounter(NamedTuple):
-    """What the reward of social navigation reads in one step."""
+    """Quantities of one step that the reward of social navigation needs."""
 
     robot_xz: ArrayLike
     """Shape [W, 2] [m]."""
@@ -60,7 +60,7 @@ class Encounter(NamedTuple):
 
 
 class RewardStep(NamedTuple):
-    """What a step is worth, each [W]."""
+    """Reward, success and end of a step, each [W]."""
 
     reward: NDArray[np.float64]
     success: NDArray[np.bool_]
@@ -236,11 +236,11 @@ def _each(values: NDArray, shape: tuple[int, ...]) -> NDArray:
 # --- rearrangement ------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class RearrangeReward:
-    """What social rearrangement pays; the defaults are the paper's."""
+    """Rewards of social rearrangement; the defaults are the paper's."""
 
     success: float = 10.0
     stage: float = 5.0
-    """For each sub-goal (an object picked, an object at its goal), once."""
+    """Reward for each sub-goal (an object picked, an object at its goal), once."""
     collision: float = 5.0
     """Taken away when the agents touch, which ends the episode."""
     slack: float = -0.005
@@ -268,4 +268,4 @@ REARRANGE_REWARDS: dict[str, RearrangeReward] = {
     "paper": RearrangeReward(),
     "habitat": RearrangeReward(collision=0.5, slack=-0.0005),
 }
-"""By profile."""
+"""Rewards of rearrangement by profile."""

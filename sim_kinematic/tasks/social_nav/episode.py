@@ -48,7 +48,7 @@ class Starts:
 
     @classmethod
     def of(cls, places: Array) -> Starts:
-        """From the first row of a robot and the second of a person, [2, 3]."""
+        """Starts from an array [2, 3] whose first row is the robot's and second the person's."""
         robot, human = np.asarray(places, np.float64)
         return cls(robot_xz=robot[:2], robot_heading=float(robot[2]), human_xz=human[:2], human_heading=float(human[2]))
 
@@ -100,7 +100,7 @@ def goals_of(episode: Episode) -> tuple[tuple[float, float], ...]:
 
 
 def plan_of(episode: Episode) -> HumanPlan:
-    """What the scripted person will do in an episode of greatest length."""
+    """Plan of the scripted person for an episode of the greatest length."""
     x, z, heading = episode.starts[HUMAN]
     return human_plan(
         episode.free,

@@ -49,7 +49,7 @@ TRAINING = SocialNavSpec(spawn_distance_m=3.0)
 
 
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
-"""What the paper's policy sees (appendix, social navigation). Needs a picture in every step."""
+"""Observations of the paper's policy (appendix, social navigation), which need a picture in every step."""
 
 
 @dataclass(eq=False)
@@ -57,7 +57,7 @@ class SocialNavState:
     """Memory of the rules for W worlds, [W] each."""
 
     rewards: SocialNavReward | None
-    """None where nobody asks for rewards."""
+    """Rewards; None where they are not computed."""
     geodesic: Array
     """Shortest path from robot to person [m], inf where there is none."""
     collides: NDArray[np.bool_]
@@ -76,7 +76,7 @@ class SocialNavState:
     plan: HumanPlan | None = None
     """The scripted person's whole walk, once somebody has asked for it."""
     track: list[NDArray[np.float64]] = field(default_factory=list)
-    """Where a person who follows no script has been."""
+    """Positions so far of a person who follows no script."""
 
 
 class SocialNav(Task):
@@ -333,7 +333,7 @@ class SocialNav(Task):
 
     # --- recording ----------------------------------------------------------------------------------------------------
     def instruction(self, episode: Episode) -> str:
-        """The same instruction for all episodes."""
+        """Instruction in words, the same for all episodes."""
         del episode
         return "follow the person"
 
@@ -380,7 +380,7 @@ class SocialNav(Task):
             )
         return chosen
 
-    def hindsight(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+    def final_info(self, episode: Episode, play: Rollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """The person's goals, and the fewest steps ``l`` in which an oracle finds them.
 
         Both follow from the person's whole plan, however long the episode lasted; for a person without a script, from

@@ -18,7 +18,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.agents.skills import ALL_SKILLS, Action, SkillResult
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.stand_offs import Errand
+from sim_kinematic.avoidance.stand_offs import TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, shut_off
 from sim_kinematic.policies.rearrange import Planner
 from sim_kinematic.tasks.rearrange.task import Rearrange
@@ -65,9 +65,9 @@ def face_to_face(free: FreeSpace, *, asks: bool = True) -> tuple[list[Figure], R
     a, b = np.array([4.6, 2.0]), np.array([6.0, 2.0])
     figures = [Figure(0, a, np.array([a, [9.0, 2.0]])), Figure(1, b, np.array([b, [1.0, 2.0]]))]
 
-    def errand(number: int) -> Errand:
+    def errand(number: int) -> TaskProgress:
         me = figures[number]
-        return Errand(me.obeys, number, lambda: me.left_m, me.completed, me.obeys)
+        return TaskProgress(me.obeys, number, lambda: me.left_m, me.completed, me.obeys)
 
     return figures, RightOfWay(free, figures, errand, asks=asks)
 

@@ -63,7 +63,7 @@ _COM_AHEAD_M, _COM_BEHIND_M, _COM_ASIDE_M = -0.01, 0.01, 0.02
 
 
 class ReachBody(NamedTuple):
-    """What the kernel knows of one body and one of its hands."""
+    """Measures of one body and one of its hands, for the kernel."""
 
     scale: float
     """Height of the standing shoulder [m], the unit of the table."""
@@ -295,7 +295,7 @@ def look_up(table, low, step, u, x):
 
 @kernel_part()
 def fault(measures):
-    """What is wrong with a posture: `REACHED` when nothing, `TOO_FAR`, or `INVALID_POSTURE`."""
+    """Fault of a posture: `REACHED` if there is none, `TOO_FAR`, or `INVALID_POSTURE`."""
     if abs(measures[MISS]) > 1e-6:
         return TOO_FAR
     bad = measures[KNEE] > KNEE_MAX or measures[SHANK] > SHANK_MAX or measures[BALANCE] > 0.0

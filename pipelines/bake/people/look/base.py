@@ -19,7 +19,7 @@ from h3data.geometry import Array, normalized
 
 SHOE_LEATHER_M = 0.005
 TOE_BOX_M = 0.012
-"""How much higher than the toes a shoe is there."""
+"""Height of a shoe above the toes [m]."""
 LAST_ROWS = 16
 HEAD_ROWS, HEAD_COLUMNS, HEAD_POLAR_DEG = 20, 36, 135.0
 SKIRT_ROWS, SKIRT_COLUMNS = 14, 40

@@ -11,7 +11,7 @@ from torch import Tensor
 from h3data.errors import InputError
 from h3data_training.torch.rearrange.bank import FLOOR
 from h3data_training.torch.rearrange.skills import Choices, Hands, every_choice, one_of, precondition
-from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, NOBODY, Errand, Play
+from h3data_training.torch.rearrange.state import ABORTED, DONE, FAILED, NOBODY, Play, SubGoal
 from h3data_training.torch.rearrange.tables import Places
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from h3data_training.torch.step import heading_direction, wrap_angle
@@ -28,9 +28,9 @@ class Paths(NamedTuple):
     """Shortest paths of both agents, robot and person, which both are shown."""
 
     xz: Tensor
-    """Where they are and were a second ago, [W, 2, 2, 2]."""
+    """Positions of both agents now and a second ago, [W, 2, 2, 2] [m]."""
     lengths: Tensor
-    """From there to the floor below starts and goals, [W, 2, 2, 2 K] [m]."""
+    """Lengths of the paths from these positions to the floor below starts and goals, [W, 2, 2, 2 K] [m]."""
     ahead: Tensor
     """Where each would be `AHEAD_M` further on, on the way to each object or, with what they hold, to its goal,
     [W, 2, K, n, 2]: to what is in the other's hand the way is straight."""
@@ -64,7 +64,7 @@ class View(NamedTuple):
     play: Play
     places: Places
     choices: Choices
-    does: Errand
+    does: SubGoal
     xz: Tensor
     heading: Tensor
     other: Tensor

@@ -25,7 +25,7 @@ from h3data_training.torch.rearrange.skills import (
     move_robots,
     one_of,
 )
-from h3data_training.torch.rearrange.state import FREE, NOBODY, Errand, Play, choose
+from h3data_training.torch.rearrange.state import FREE, NOBODY, Play, SubGoal, choose
 from h3data_training.torch.rearrange.tables import Places, Tables
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from h3data_training.torch.step import Grids, heading_direction
@@ -134,7 +134,7 @@ class RearrangeTensors:
 
     def _human(
         self, play: Play, choice: Tensor, places: Places, hands: Hands, floor_y: Tensor
-    ) -> tuple[HumanTensors, Errand, Hands]:
+    ) -> tuple[HumanTensors, SubGoal, Hands]:
         person, choices, does = play.human, self.human_choices, play.human_does
         close = self.close(person.xz, person.heading, play.robot.xz)
         does, choice = self._chosen("human", choices, does, choice, close, hands, places)
@@ -146,7 +146,7 @@ class RearrangeTensors:
 
     def _robot(
         self, play: Play, human: HumanTensors, choice: Tensor, places: Places, hands: Hands, floor_y: Tensor
-    ) -> tuple[RobotTensors, Errand, Hands]:
+    ) -> tuple[RobotTensors, SubGoal, Hands]:
         robot, choices, does = play.robot, self.robot_choices, play.robot_does
         close = self.close(robot.xz, robot.heading, human.xz)
         does, choice = self._chosen("robot", choices, does, choice, close, hands, places)
@@ -157,8 +157,8 @@ class RearrangeTensors:
         return robot, does, hands
 
     def _chosen(
-        self, agent: str, choices: Choices, does: Errand, choice: Tensor, close: Tensor, hands: Hands, places: Places
-    ) -> tuple[Errand, Tensor]:
+        self, agent: str, choices: Choices, does: SubGoal, choice: Tensor, close: Tensor, hands: Hands, places: Places
+    ) -> tuple[SubGoal, Tensor]:
         """What an agent is at after having been interrupted, and what it chooses if it is free."""
         if agent in self.planners:
             number, does = planned(choices, does, hands, self.at_goal(hands, places))

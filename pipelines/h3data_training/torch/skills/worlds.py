@@ -70,11 +70,11 @@ class SkillPlay(NamedTuple):
     before_xz: Tensor
     before_heading: Tensor
     reward: Tensor
-    """Of the last step, [W]."""
+    """Reward of the last step [W]."""
     success: Tensor
-    """The skill has done what it should in the last step, bool [W]."""
+    """Whether the skill succeeded in the last step, bool [W]."""
     terminated: Tensor
-    """That, or it cannot any more, bool [W]."""
+    """Whether the skill has succeeded or can no longer succeed, bool [W]."""
     truncated: Tensor
     """It had all its steps, bool [W]."""
 
