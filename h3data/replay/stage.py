@@ -170,7 +170,7 @@ class Stage:
         samples: Literal[1, 4] = 1,
     ) -> Images:
         """The outputs of each camera at ``step``, by a renderer of this stage."""
-        people = self._pose(renderer, step)
+        people = self._pose(renderer, step, outputs)
         posed: set[_Skin] = set()
         images = []
         for camera in cameras:
@@ -189,7 +189,7 @@ class Stage:
         samples: Literal[1, 4] = 1,
     ) -> list[Images]:
         """`render` for several steps at once, each in a world of the renderer."""
-        people = [self._pose(renderer, step, world=world) for world, step in enumerate(steps)]
+        people = [self._pose(renderer, step, outputs, world=world) for world, step in enumerate(steps)]
         posed: list[set[_Skin]] = [set() for _ in steps]
         images: list[Images] = [[] for _ in steps]
         for track in tracks:
@@ -203,8 +203,11 @@ class Stage:
                 images[world].append({name: array[world] for name, array in host.items()})
         return images
 
-    def _pose(self, renderer: Renderer, step: int, *, world: int = 0) -> list[tuple[_Person, Array]]:
-        """Poses all but the people in a world; returns them with their joint matrices [1, 55, 4, 4]."""
+    def _pose(
+        self, renderer: Renderer, step: int, outputs: Sequence[Output], *, world: int = 0
+    ) -> list[tuple[_Person, Array]]:
+        """Poses all but the people in a world, and what keeps light away if it is seen in ``outputs``; returns the people
+        with their joint matrices [1, 55, 4, 4]."""
         rigid: list[tuple[NDArray[np.intp], Array]] = []
         deformed: dict[int, NDArray[np.floating]] = {}
         if len(self._bodies):
@@ -231,7 +234,7 @@ class Stage:
         people = [
             (person, self._joints(person.agent, step // JOINT_STEPS)[[step % JOINT_STEPS]]) for person in self._people
         ]
-        if self._casters is not None:
+        if self._casters is not None and "rgb" in outputs:
             for person, joints in people:
                 ends = person.body.capsules_world(joints)
                 skin = person.full or person.light

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json as jsonlib
+import math
 import sys
+import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import tyro
 
@@ -101,15 +103,23 @@ class Demo:
                 table = measure_many([recording])
                 write_text(out / "metrics.json", table.to_json() + "\n")
             clock.say(f"{counted(len(recording), 'step')} recorded in {out / 'episode.mcap'}:\n{table.to_text()}\n")
-            with clock.part("first picture"):
-                replay = Replay(recording, light=self.light)
-                tracks = _tracks(replay, size)
-                _write_first_picture(replay, tracks["third_person"], out / "first_picture.png")
-            clock.say(f"the first picture: {out / 'first_picture.png'}. Three videos follow.\n")
-            with clock.part("videos, dataset, rerun"):
-                if not size:
-                    tracks["third_person"] = tracks["third_person"].resized(*VIDEO_SIZE)
-                _write_rest(replay, tracks, out)
+            replay = Replay(recording, light=self.light)
+            with ThreadPoolExecutor(2, thread_name_prefix="h3data-demo") as pool, _Videos(replay, out) as videos:
+                with clock.part("first picture"):
+                    videos.prepare()
+                    # the view from above meanwhile: the search for a good third-person view takes one core
+                    above = pool.submit(videos.write, "top_down", threads=max(core_count() - 1, 1))
+                    view = videos.track("third_person")
+                    _write_first_picture(replay, view.resized(*size) if size else view, out / "first_picture.png")
+                clock.say(f"the first picture: {out / 'first_picture.png'}. Three videos follow.\n")
+                with clock.part("videos, dataset, rerun"):
+                    beside = pool.submit(_write_beside, recording, videos, out)
+                    videos.show_progress()
+                    videos.write("third_person", size or VIDEO_SIZE)
+                    videos.write("arm_depth")
+                    above.result()
+                    videos.written.set_result(None)
+                    beside.result()
         summary: dict[str, Any] = {
             "wall_s": round(clock.total, 2),
             "parts_s": {name: round(seconds, 2) for name, seconds in clock.parts.items()},
@@ -156,12 +166,58 @@ VIDEOS: dict[str, tuple[str, Output]] = {
 """Camera and output of each video."""
 
 
-def _tracks(replay: Replay, size: tuple[int, int] | None) -> dict[str, CameraTrack]:
-    """The cameras of the videos by the names of these; ``size`` is that of the third-person view."""
-    tracks = {name: camera_track(replay, camera) for name, (camera, _) in VIDEOS.items()}
-    if size:
-        tracks["third_person"] = tracks["third_person"].resized(*size)
-    return tracks
+class _Videos:
+    """The videos of a replay, of which several threads may write one each. After an error in the block all of them stop."""
+
+    def __init__(self, replay: Replay, out: Path) -> None:
+        self.replay, self.out = replay, out
+        self.written: Future[None] = Future()
+        """Done when all videos are."""
+        self._steps = range(0, len(replay), FRAME_EVERY)
+        # one bar for all of them, later (`show_progress`)
+        self._bar = progress(total=len(VIDEOS) * len(self._steps), desc="render", unit="frame", delay=math.inf)
+        self._lock = threading.Lock()
+        self._tracks: dict[str, CameraTrack] = {}
+
+    def prepare(self) -> None:
+        """Builds what threads share."""
+        self.replay.stage  # noqa: B018
+
+    def track(self, name: str) -> CameraTrack:
+        """The camera of a video, with pictures of the camera's own size."""
+        if name not in self._tracks:
+            self._tracks[name] = camera_track(self.replay, VIDEOS[name][0])
+        return self._tracks[name]
+
+    def write(self, name: str, size: tuple[int, int] | None = None, *, threads: int | None = None) -> None:
+        """Writes one video; all cores work on it unless ``threads`` is given."""
+        track = self.track(name).resized(*size) if size else self.track(name)
+        render_files(
+            self.replay,
+            [(track, [Target(VIDEOS[name][1], "h264", self.out / f"{name}.mp4")])],
+            steps=self._steps,
+            threads=threads or core_count(),
+            samples=4,
+            frame_done=self._count,
+        )
+
+    def show_progress(self) -> None:
+        """Shows the bar from now on."""
+        self._bar.delay = 0
+
+    def _count(self) -> None:
+        if self.written.done():
+            raise CancelledError
+        with self._lock:
+            self._bar.update()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is not None and not self.written.done():
+            self.written.set_exception(error)
+        self._bar.close()
 
 
 def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None:
@@ -173,32 +229,17 @@ def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None
     write_png(path, view["rgb"])
 
 
-def _write_rest(replay: Replay, tracks: dict[str, CameraTrack], out: Path) -> None:
-    """The videos, by all cores, and beside them the dataset and the file for Rerun, which waits for the videos."""
-    videos = {camera: out / f"{name}.mp4" for name, (camera, _) in VIDEOS.items()}
-    rendered: Future[None] = Future()
-    with ThreadPoolExecutor(1, thread_name_prefix="h3data-demo") as pool:
-        beside = pool.submit(_write_beside, replay.recording, out, videos, rendered)
-        try:
-            for name, (_, output) in VIDEOS.items():
-                view = (tracks[name], [Target(output, "h264", out / f"{name}.mp4")])
-                steps = range(0, len(replay), FRAME_EVERY)
-                render_files(replay, [view], steps=steps, threads=core_count(), samples=4, description=f"render {name}")
-        except BaseException as error:
-            rendered.set_exception(error)
-            raise
-        rendered.set_result(None)
-        beside.result()
-
-
-def _write_beside(recording: Recording, out: Path, videos: dict[str, Path], rendered: Future[None]) -> None:
+def _write_beside(recording: Recording, videos: _Videos, out: Path) -> None:
+    """The dataset and the file for Rerun, which waits for the videos."""
     from h3data.recording import DatasetWriter
-    from h3data_viewers import write_rrd
+    from h3data_viewers import CameraFeed, write_rrd
 
     with DatasetWriter(out / "dataset") as writer:
         writer.add(recording)
+    tracks = {name: videos.track(name) for name in VIDEOS}
+    feeds = [CameraFeed(camera=t.camera, poses=t.poses, video=out / f"{name}.mp4") for name, t in tracks.items()]
     plain = Replay(recording, detail=False)
-    write_rrd(recording, out / "episode.rrd", replay=plain, videos=videos, videos_ready=rendered.result)
+    write_rrd(recording, out / "episode.rrd", replay=plain, cameras=feeds, videos_ready=videos.written.result)
 
 
 @dataclass
