@@ -32,7 +32,7 @@ LAYERS = (
 )
 """Packages from the lowest to the highest."""
 AGAINST_THE_LAYERS = {
-    "h3data": ["h3data_pipelines.api", "sim_kinematic.tasks.sessions"],
+    "h3data": ["h3data_pipelines.api", "h3data_viewers.api", "sim_kinematic.tasks.sessions"],
     "h3data.api": ["sim_kinematic"],
     "h3data.formats.builtin_formats": [
         "h3data.exporters.csv_tables",
@@ -54,6 +54,8 @@ AGAINST_THE_LAYERS = {
         "h3data_play.commands.serving",
         "h3data_pipelines",
         "h3data_pipelines.commands",
+        "h3data_pipelines.execution",
+        "h3data_pipelines.pictures",
         "h3data_studies",
         "h3data_studies.bots",
         "h3data_studies.commands",
@@ -63,6 +65,8 @@ AGAINST_THE_LAYERS = {
         "h3data_training.envs.torch_env",
         "h3data_training.torch",
         "h3data_viewers",
+        "h3data_viewers.commands.reporting",
+        "h3data_viewers.commands.viewing",
         "sim_kinematic",
         "sim_kinematic.envs",
     ],

@@ -9,7 +9,7 @@ import math
 import os
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, g
 import tyro
 
 from h3data.commands.command import Command
-from h3data.errors import InputError, suggest
+from h3data.errors import H3DataError, InputError, suggest
 
 _NOT_KEPT = ("out", "workers", "executor", "resume", "force", "json", "dry_run", "mcap", "share_scenes")
 """Options that do not decide what is in the dataset."""
@@ -229,3 +229,32 @@ def command_line(name: str, command: Command) -> str:
             text = [] if option.kind is bool else [_FOLDERS.sub("", str(each))]
             words += [*option.flags[-1:], *text]
     return shlex.join(words)
+
+
+def run_from_python(command: type[Command], options: dict[str, Any], *, several: tuple[str, ...] = ()) -> Any:
+    """Runs a command with options as Python has them: paths as text, lists instead of tuples, one path for several."""
+    values: dict[str, Any] = {}
+    for option in options_of(command):
+        if option.field not in options:
+            continue
+        value = options[option.field]
+        one = isinstance(value, str) or hasattr(value, "__fspath__")
+        if option.field in several and one:
+            value, one = [value], False
+        if value is None:
+            continue
+        if option.count != 1 and (one or not isinstance(value, Iterable)):
+            raise InputError(f"{option.field}: expected a list, as [{value!r}], got {value!r}.")
+        value = value if option.count == 1 else tuple(value)
+        for each in (value,) if option.count == 1 else value:
+            check_value(option, each)
+        if option.count == 1:
+            values[option.field] = Path(str(value)) if option.kind is Path else value
+        else:
+            values[option.field] = tuple(map(Path, map(str, value)) if option.kind is Path else value)
+    try:
+        return command(**values).run().result
+    except (H3DataError, KeyboardInterrupt) as error:
+        if error.args:
+            error.args = (in_python_words(str(error), command), *error.args[1:])
+        raise

@@ -1,4 +1,4 @@
-"""Jobs from Python, with the options of the commands: ``h3data.generate``, ``h3data.report``, and others.
+"""Jobs from Python, with the options of the commands: ``h3data.generate``, ``h3data.evaluate``, and others.
 
 Each function runs the command of its name, so both do the same; results come back as objects instead of text.
 """
@@ -6,12 +6,13 @@ Each function runs the command of its name, so both do the same; results come ba
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
-from h3data.commands.command import Command, WalkOption
+from h3data.commands.command import WalkOption
+from h3data.commands.options import run_from_python
 from h3data.recording.storage import RemotePath
 from h3data.render.light.sources import LightMode
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from h3data_pipelines.jobs.imports import ImportResult
     from h3data_pipelines.jobs.skill_evaluations import SkillEvaluationResult
     from h3data_pipelines.pictures.rerender import Rendered
-    from h3data_viewers.html_report.report import Report
 
 AnyPath = str | os.PathLike[str]
 
@@ -73,7 +73,7 @@ def generate(
     """
     from h3data_pipelines.commands.generate import Generate
 
-    return _result(Generate, locals())
+    return run_from_python(Generate, locals())
 
 
 def evaluate(
@@ -115,41 +115,7 @@ def evaluate(
     """
     from h3data_pipelines.commands.evaluating import Evaluate
 
-    return _result(Evaluate, locals())
-
-
-def report(
-    datasets: AnyPath | Sequence[AnyPath],
-    out: AnyPath = Path("report.html"),
-    *,
-    title: str = "",
-    markdown: AnyPath | None = None,
-    latex: AnyPath | None = None,
-    pictures: int = 6,
-    assets: Sequence[AnyPath] = (),
-    people: PeopleStyle = "skin",
-    light: LightMode = "baked",
-    stand_ins: bool = False,
-    replays: bool = False,
-    zsc: Sequence[str] = (),
-    seeds: Sequence[str] = (),
-    study_model: Literal["auto", "poisson", "observation"] = "auto",
-    failed: Literal["leave-out", "limit"] = "leave-out",
-    workers: int = 1,
-    executor: str = "local",
-    force: bool = False,
-) -> Report:
-    """Writes a self-contained HTML report on datasets and recordings; options as of ``h3data report``.
-
-    Returns:
-        The report: its runs, tables, and what could not be measured.
-
-    Raises:
-        InputError: there is nothing to report on, an option is wrong, or a file exists.
-    """
-    from h3data_pipelines.pictures.report import ReportCommand
-
-    return _result(ReportCommand, locals(), several=("datasets",))
+    return run_from_python(Evaluate, locals())
 
 
 def import_(
@@ -173,7 +139,7 @@ def import_(
     """
     from h3data_pipelines.commands.importing import Import
 
-    return _result(Import, locals(), several=("paths",))
+    return run_from_python(Import, locals(), several=("paths",))
 
 
 def export(
@@ -201,7 +167,7 @@ def export(
     """
     from h3data_pipelines.commands.exporting import Export
 
-    return _result(Export, locals())
+    return run_from_python(Export, locals())
 
 
 def rerender(
@@ -233,34 +199,7 @@ def rerender(
     """
     from h3data_pipelines.pictures.rerender import Rerender
 
-    return _result(Rerender, locals(), several=("recordings",))
-
-
-def view(
-    recording: AnyPath,
-    *,
-    compare: AnyPath | None = None,
-    out: AnyPath | None = None,
-    camera: Sequence[str] = (),
-    people: PeopleStyle = "skin",
-    light: LightMode = "baked",
-    assets: Sequence[AnyPath] = (),
-    stand_ins: bool = False,
-    open: bool = False,
-    force: bool = False,
-) -> Path:
-    """Writes a recording as a Rerun file (or two side by side), or as an HTML file that plays it in a browser; options as
-    of ``h3data view``.
-
-    Returns:
-        The .rrd or .html file.
-
-    Raises:
-        InputError: an option is wrong, or the file exists.
-    """
-    from h3data_pipelines.pictures.viewing import View
-
-    return _result(View, locals())
+    return run_from_python(Rerender, locals(), several=("recordings",))
 
 
 def card(
@@ -281,7 +220,7 @@ def card(
     """
     from h3data_pipelines.hub.card import Card
 
-    return _result(Card, locals())
+    return run_from_python(Card, locals())
 
 
 def push(dataset: AnyPath, repo: str, *, private: bool = False, message: str = "") -> str:
@@ -296,7 +235,7 @@ def push(dataset: AnyPath, repo: str, *, private: bool = False, message: str = "
     """
     from h3data_pipelines.hub.pushing import Push
 
-    return _result(Push, locals())
+    return run_from_python(Push, locals())
 
 
 def pull(repo: str, out: AnyPath, *, revision: str = "main", force: bool = False) -> Path:
@@ -312,7 +251,7 @@ def pull(repo: str, out: AnyPath, *, revision: str = "main", force: bool = False
     """
     from h3data_pipelines.hub.pulling import Pull
 
-    return _result(Pull, locals())
+    return run_from_python(Pull, locals())
 
 
 def sync(source: AnyPath, target: AnyPath, *, quick: bool = False, force: bool = False) -> Path | RemotePath:
@@ -327,36 +266,4 @@ def sync(source: AnyPath, target: AnyPath, *, quick: bool = False, force: bool =
     """
     from h3data_pipelines.hub.syncing import Sync
 
-    return _result(Sync, locals())
-
-
-def _result(command: type[Command], options: dict[str, Any], *, several: tuple[str, ...] = ()) -> Any:
-    """Runs a command with options as Python has them: paths as text, lists instead of tuples, one path for several."""
-    from h3data.commands.options import check_value, in_python_words, options_of
-    from h3data.errors import H3DataError, InputError
-
-    values: dict[str, Any] = {}
-    for option in options_of(command):
-        if option.field not in options:
-            continue
-        value = options[option.field]
-        one = isinstance(value, str) or hasattr(value, "__fspath__")
-        if option.field in several and one:
-            value, one = [value], False
-        if value is None:
-            continue
-        if option.count != 1 and (one or not isinstance(value, Iterable)):
-            raise InputError(f"{option.field}: expected a list, as [{value!r}], got {value!r}.")
-        value = value if option.count == 1 else tuple(value)
-        for each in (value,) if option.count == 1 else value:
-            check_value(option, each)
-        if option.count == 1:
-            values[option.field] = Path(str(value)) if option.kind is Path else value
-        else:
-            values[option.field] = tuple(map(Path, map(str, value)) if option.kind is Path else value)
-    try:
-        return command(**values).run().result
-    except (H3DataError, KeyboardInterrupt) as error:
-        if error.args:
-            error.args = (in_python_words(str(error), command), *error.args[1:])
-        raise
+    return run_from_python(Sync, locals())

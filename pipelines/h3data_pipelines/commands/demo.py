@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -26,6 +26,7 @@ from h3data.commands.command import (
 )
 from h3data.errors import InputError
 from h3data.files import size_text
+from h3data.plugins import Registry
 from h3data.progress import is_quiet, progress
 from h3data.recording import Recording
 from h3data.replay import CameraTrack, Replay, camera_track
@@ -35,6 +36,9 @@ from h3data_pipelines.machine.warmup import compiled_aside
 from h3data_pipelines.outputs import Target
 from h3data_pipelines.pictures.rendering import render_files
 from h3data_pipelines.pictures.rerender import parse_size
+
+VIEWERS: Registry[Callable[..., object]] = Registry("h3data.viewers", {}, what="viewer")
+"""What writes a recording as the file of a viewer, as `h3data_viewers.write_rrd` does."""
 
 if TYPE_CHECKING:
     from h3data.render import Output
@@ -86,6 +90,8 @@ class Demo:
         if not 0 < self.human_speed <= 4:
             raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
         size = parse_size(self.size)
+        if "rerun" not in VIEWERS.names():
+            VIEWERS.get("rerun")  # says which package is missing, before anything is done
         out = claim_folder(self.out, force=self.force)
         if self.force:
             remove_dataset(out / "dataset")
@@ -192,12 +198,11 @@ def _write_rest(replay: Replay, tracks: dict[str, CameraTrack], out: Path) -> No
 
 def _write_beside(recording: Recording, out: Path, videos: dict[str, Path], rendered: Future[None]) -> None:
     from h3data.recording import DatasetWriter
-    from h3data_viewers import write_rrd
 
     with DatasetWriter(out / "dataset") as writer:
         writer.add(recording)
     plain = Replay(recording, detail=False)
-    write_rrd(recording, out / "episode.rrd", replay=plain, videos=videos, videos_ready=rendered.result)
+    VIEWERS.get("rerun")(recording, out / "episode.rrd", replay=plain, videos=videos, videos_ready=rendered.result)
 
 
 @dataclass

@@ -10,10 +10,10 @@ from typing import Annotated
 import tyro
 
 from h3data.commands.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome, WalkOption
+from h3data.commands.executors import ExecutorOption
 from h3data.errors import InputError
 from h3data.progress import progress
 from h3data.render.light.sources import LightMode
-from h3data_pipelines.execution.executors import ExecutorOption
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
 from h3data_pipelines.jobs.evaluations import ALL
 from h3data_pipelines.jobs.skill_evaluations import evaluate_skills

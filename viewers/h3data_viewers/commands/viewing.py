@@ -21,7 +21,9 @@ from h3data.commands.command import (
     PeopleOption,
     StandInsFlag,
     claim_file,
+    missing_lines,
     open_episode,
+    recording_stem,
 )
 from h3data.errors import InputError
 from h3data.files import size_text
@@ -29,8 +31,6 @@ from h3data.recording import Recording
 from h3data.recording.storage import RemotePath, place
 from h3data.render.light.sources import LightMode
 from h3data.replay import Replay
-from h3data_pipelines.jobs.imports import recording_stem
-from h3data_pipelines.pictures.rerender import missing_lines
 
 if TYPE_CHECKING:
     from h3data_viewers import ShownRecording

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from dataclasses import dataclass
 from functools import partial
@@ -22,10 +23,9 @@ from h3data.commands.command import (
     claim_file,
     write_text,
 )
+from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import command_line
 from h3data.errors import InputError
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
-from h3data_pipelines.jobs.table_cells import or_none
 
 if TYPE_CHECKING:
     from h3data_viewers.html_report.report import Report
@@ -149,9 +149,14 @@ def _over_seeds(run: Run) -> dict[str, Any]:
     return {
         "policies": list(run.seeds),
         "metrics": {
-            name: {"mean": or_none(mean), "deviation": or_none(deviation)} for name, (mean, deviation) in known.items()
+            name: {"mean": _or_none(mean), "deviation": _or_none(deviation)}
+            for name, (mean, deviation) in known.items()
         },
     }
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def _text(report: Report, written: list[Path]) -> str:
