@@ -98,8 +98,11 @@ def test_learning_on_a_device_names_the_package_that_has_it(tmp_path: Path) -> N
 def test_what_writes_files_of_viewers_names_their_package(tmp_path: Path) -> None:
     tree, out = tmp_path / "tree", tmp_path / "demo"
     tree.mkdir()
-    words = ["demo", "-o", str(out)]
-    code, text = run_without("h3data_viewers", tree, [words])[" ".join(words)]
-    assert code == 2
-    assert "h3data_viewers" in text
+    commands = [["demo", "-o", str(out)], ["study", "report", str(tmp_path)]]
+    said = run_without("h3data_viewers", tree, [*commands, ["study", "report", "--help"]])
+    for words in commands:
+        code, text = said[" ".join(words)]
+        assert code == 2
+        assert "h3data_viewers" in text
     assert not out.exists()
+    assert said["study report --help"][0] == 0
