@@ -9,6 +9,7 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 MOVED = {
+    "h3data.habitat.scene_names": "h3data.scene.open",
     "h3data_pipelines.command": "h3data.commands.command",
     "h3data_pipelines.commands.playing": "h3data_play.commands.playing",
     "h3data_pipelines.commands.serving": "h3data_play.commands.serving",

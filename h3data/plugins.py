@@ -266,6 +266,14 @@ class Registry(Generic[T]):
         known = self.names()
         raise InputError(f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}")
 
+    def missing(self) -> dict[str, str]:
+        """Packages that come with this one but are not there, by the name of the entry that each would add."""
+        return {
+            name: str(entry.value).partition(":")[0].partition(".")[0]
+            for name, entry in self._own.items()
+            if name not in self._built_in
+        }
+
     def load_all(self) -> dict[str, T]:
         """Returns every object by name; warns about plug-ins that cannot be loaded and leaves them out."""
         loaded: dict[str, T] = {}

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -94,6 +94,8 @@ def min_area_m2(bedrooms: int, bathrooms: int) -> float:
 @dataclass(frozen=True, kw_only=True)
 class HomeSpec:
     """Complete description of a procedural home: the same spec gives the same scene, byte for byte."""
+
+    kind: ClassVar[str] = "home"
 
     seed: int = 0
     preset: Preset = "small"
