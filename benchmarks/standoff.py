@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid
 from h3data.geometry import heading_from_quat, wrap_angle
-from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording
 from h3data.scene import FreeSpace, Scene
+from h3data.scene.open import named_scenes, open_free_space, open_scene
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import HANDS
 from sim_kinematic.agents.skills import ALL_SKILLS, CONTROL, Action

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from h3data.recording import Dataset, Episodes, Recording
     from h3data.replay import Replay
     from h3data.scene import HomeSpec, Scene, build_home
-    from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, report, rerender, sync, view
+    from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, rerender, sync
+    from h3data_viewers.api import report, view
     from sim_kinematic.envs.make import make
     from sim_kinematic.tasks.sessions import session, simulate
 
@@ -50,10 +51,10 @@ _HOMES = {
     "import_": "h3data_pipelines.api",
     "pull": "h3data_pipelines.api",
     "push": "h3data_pipelines.api",
-    "report": "h3data_pipelines.api",
+    "report": "h3data_viewers.api",
     "rerender": "h3data_pipelines.api",
     "sync": "h3data_pipelines.api",
-    "view": "h3data_pipelines.api",
+    "view": "h3data_viewers.api",
     "H3DataError": "h3data.errors",
     "Dataset": "h3data.recording",
     "Episodes": "h3data.recording",

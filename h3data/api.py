@@ -19,7 +19,6 @@ from h3data.render.light.sources import LightMode
 from h3data.replay import CameraTrack, Replay, camera_at
 
 if TYPE_CHECKING:
-    from h3data.habitat.scenes.scene_dataset import SceneDataset
     from h3data.metrics import EpisodeMetrics, MetricsTable
     from h3data.scene import Scene
 
@@ -43,7 +42,7 @@ def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
     ``*.scene_dataset_config.json``                        `SceneDataset`; followed by ``#name``, a `Scene`
     ====================================================  ==========================================
 
-    Options of Habitat's scenes: `h3data.habitat.scenes.scene_instance.load_habitat_scene`.
+    Options of scenes in files: `h3data.scene.sources.SceneFile`.
 
     Args:
         path: Path, URI or name.
@@ -79,18 +78,17 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 
 
 def _open(path: str) -> Any:
-    from h3data.habitat.scene_names import is_builtin_name, named_scenes, open_scene
-    from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, dataset_and_scene
     from h3data.recording.parquet.files import is_dataset
+    from h3data.scene.open import is_builtin_name, named_scenes, open_scene, open_scene_path
 
     if is_builtin_name(path):
         first, *more = named_scenes(path)
         if more:
             raise InputError(f"{path} names several scenes. Expected one, such as {first.name}.")
         return open_scene(first.source)
-    dataset, name = dataset_and_scene(path)
-    if dataset is not None or path.lower().endswith(HABITAT_ENDINGS):
-        return _open_scene(Path(path) if dataset is None else dataset, name)
+    scene = open_scene_path(path)
+    if scene is not None:
+        return scene
     place = Path(path)
     if _GLOB.search(path) and "://" not in path and not place.exists():
         return _below(sorted(glob.glob(path, recursive=True)), path)
@@ -106,16 +104,6 @@ def _below(paths: list[str], named: str) -> Episodes:
     if not paths:
         raise InputError(f"No file has such a name. Expected recordings or datasets: {named}")
     return Episodes(find_episodes(paths))
-
-
-def _open_scene(path: Path, name: str | None) -> Scene | SceneDataset:
-    from h3data.habitat.scene_names import read_scene_file
-    from h3data.habitat.scenes.scene_dataset import DATASET_ENDING, load_scene_dataset
-    from h3data.scene.scene_sets import SceneFile
-
-    if path.name.endswith(DATASET_ENDING) and name is None:
-        return load_scene_dataset(path)
-    return read_scene_file(SceneFile(path=str(path), scene=name or ""))
 
 
 @overload

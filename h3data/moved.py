@@ -10,11 +10,16 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.habitat.scene_names": "h3data.scene.open",
     "h3data_pipelines.command": "h3data.commands.command",
     "h3data_pipelines.commands.playing": "h3data_play.commands.playing",
     "h3data_pipelines.commands.serving": "h3data_play.commands.serving",
+    "h3data_pipelines.execution.executors": "h3data.commands.executors",
+    "h3data_pipelines.execution.shards": "h3data.commands.shards",
     "h3data_pipelines.learning": "h3data_training.commands",
     "h3data_pipelines.options": "h3data.commands.options",
+    "h3data_pipelines.pictures.report": "h3data_viewers.commands.reporting",
+    "h3data_pipelines.pictures.viewing": "h3data_viewers.commands.viewing",
     "h3data_pipelines.studies": "h3data_studies.commands",
     "h3data_viewers.hitl": "h3data_play",
     "h3data_viewers.hitl.bots": "h3data_studies.bots",

@@ -149,6 +149,12 @@ def _is_there(reference: str) -> bool:
     return spec is not None and spec.origin is not None
 
 
+def missing_part(fault: ModuleNotFoundError) -> str:
+    """Name of the package of h3data that an import did not find; empty if it was a module of somebody else."""
+    package = (fault.name or "").partition(".")[0]
+    return package if package.startswith("h3data_") and not _is_there(package) else ""
+
+
 def load_reference(reference: str) -> Any:
     """The object that ``module:name`` refers to; raises whatever importing its module raises."""
     return EntryPoint("", reference, "").load()
@@ -206,14 +212,13 @@ class Registry(Generic[T]):
         entry = self._own.get(name)
         if entry is None:
             return self._table[name].load()
-        packages = {other.value.partition(":")[0].partition(".")[0] for other in self._own.values()}
         missing = str(entry.value).partition(".")[0]
         if _is_there(entry.value):
             try:
                 return entry.load()
             except ModuleNotFoundError as fault:
-                missing = (fault.name or "").partition(".")[0]
-                if missing not in packages or _is_there(missing):
+                missing = missing_part(fault)
+                if not missing:
                     raise
         raise InputError(
             f"The {self.what} {name!r} needs the package {missing}, which this installation does not have. "
@@ -260,6 +265,14 @@ class Registry(Generic[T]):
             return self._load(Plugin(name, name))
         known = self.names()
         raise InputError(f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}")
+
+    def missing(self) -> dict[str, str]:
+        """Packages that come with this one but are not there, by the name of the entry that each would add."""
+        return {
+            name: str(entry.value).partition(":")[0].partition(".")[0]
+            for name, entry in self._own.items()
+            if name not in self._built_in
+        }
 
     def load_all(self) -> dict[str, T]:
         """Returns every object by name; warns about plug-ins that cannot be loaded and leaves them out."""

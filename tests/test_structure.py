@@ -35,7 +35,7 @@ LAYERS = (
 FACES = ("h3data.envs", "h3data.policies", "h3data.robots", "h3data.scenes", "h3data.sensors", "h3data.tasks")
 """What h3data offers to those who extend it, of modules that may move."""
 AGAINST_THE_LAYERS = {
-    "h3data": ["h3data_pipelines.api", "sim_kinematic.envs.make", "sim_kinematic.tasks.sessions"],
+    "h3data": ["h3data_pipelines.api", "h3data_viewers.api", "sim_kinematic.envs.make", "sim_kinematic.tasks.sessions"],
     "h3data.envs": [
         "sim_kinematic.envs.make",
         "sim_kinematic.envs.parallel",

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Annotated, Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
 
 import tyro
 
@@ -22,6 +22,9 @@ from h3data.recording import Recording
 from h3data.recording.storage import AnyPath, RemotePath, local, remove_tree
 from h3data.render.light.sources import LightMode
 from h3data.terminal import counted
+
+if TYPE_CHECKING:
+    from h3data.replay import Replay
 
 P = TypeVar("P", Path, RemotePath, AnyPath)
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
@@ -183,6 +186,33 @@ def open_episode(path: AnyPath) -> Recording:
             f"Expected a recording (.mcap), this is a dataset of {counted(len(opened), 'episode')}. Name one as {path}#0"
         )
     return opened
+
+
+def recording_stem(path: Path) -> str:
+    """``my_session`` of ``my_session.gfx_replay.json.gz``."""
+    name = path.name
+    for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):
+        name = name.removesuffix(suffix)
+    return name or path.stem
+
+
+def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
+    """Lines of text that list the assets of a replay that were not found."""
+    if not replay.missing:
+        return []
+    names = sorted(replay.missing)
+    shown = "built-in bodies and named boxes stand in" if replay.stand_ins else "shown as striped placeholders"
+    plainer = "" if replay.stand_ins else "; --stand-ins draws plain bodies and named boxes"
+    lines = [
+        f"{len(names)} assets not found, {shown} (Hint: --assets DIR or H3DATA_ASSETS; "
+        f"h3data docs import says how to get Habitat's{plainer}):"
+    ]
+    for name in names[:max_names]:
+        count = replay.missing[name]
+        lines.append(f"  {name}" + (f"  x{count}" if count > 1 else ""))
+    if len(names) > max_names:
+        lines.append(f"  ... and {len(names) - max_names} more (--json lists all)")
+    return lines
 
 
 def unfinished_dataset(root: AnyPath) -> str:

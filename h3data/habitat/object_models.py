@@ -25,8 +25,7 @@ from h3data.habitat.scenes.referenced_files import ReferencedFiles
 from h3data.habitat.scenes.scene_dataset import Template
 from h3data.habitat.scenes.templates import TemplateReader
 from h3data.mesh.loading import is_file, load_mesh
-from h3data.scene.homes.kinds import KINDS
-from h3data.scene.homes.kinds.kind import Grasp, grasp_point_in
+from h3data.scene.kinds import KINDS, Grasp, grasp_point_in
 from h3data.scene.records import Asset, Instance, Scene, instance_matrix
 
 MESHES = ("textured.obj", "textured.dae", "textured.ply", "nontextured.ply", "nontextured.stl")
@@ -56,7 +55,7 @@ class ObjectModel:
     semantic_id: int
     mass_kg: float
     mass_from: Literal["file", "kind", "volume"]
-    """Its ``kinbody.xml`` or config; the typical mass of its kind (`h3data.scene.homes.kinds.KINDS`); or its volume."""
+    """Its ``kinbody.xml`` or config; the typical mass of its kind (`h3data.scene.kinds.KINDS`); or its volume."""
     grasp: Grasp
     """What a hand takes hold of: that of its kind, else the whole body."""
     grasp_point: NDArray[np.float64]

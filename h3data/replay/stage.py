@@ -206,8 +206,10 @@ class Stage:
     def _pose(
         self, renderer: Renderer, step: int, outputs: Sequence[Output], *, world: int = 0
     ) -> list[tuple[_Person, Array]]:
-        """Poses all but the people in a world, and what keeps light away if it is seen in ``outputs``; returns the people
-        with their joint matrices [1, 55, 4, 4]."""
+        """Poses all but the people in a world, and returns the people with their joint matrices [1, 55, 4, 4].
+
+        Shapes that keep light away are posed only if light is seen in ``outputs``.
+        """
         rigid: list[tuple[NDArray[np.intp], Array]] = []
         deformed: dict[int, NDArray[np.floating]] = {}
         if len(self._bodies):

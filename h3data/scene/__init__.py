@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from h3data.mesh.mesh import Mesh, Texture
     from h3data.scene.articulation import joint_names, opened, posed
     from h3data.scene.freespace.free_space import FreeSpace
-    from h3data.scene.homes import CATEGORIES, HOME_PRESETS, HomePreset, HomeSpec, build_home
+    from h3data.scene.homes import HOME_PRESETS, HomePreset, HomeSpec, build_home
+    from h3data.scene.kinds import CATEGORIES
     from h3data.scene.records import (
         Articulation,
         Asset,
@@ -47,7 +48,8 @@ _MODULES = {
     "h3data.mesh.mesh": "Mesh Texture",
     "h3data.scene.articulation": "joint_names opened posed",
     "h3data.scene.freespace.free_space": "FreeSpace",
-    "h3data.scene.homes": "CATEGORIES HOME_PRESETS HomePreset HomeSpec build_home",
+    "h3data.scene.homes": "HOME_PRESETS HomePreset HomeSpec build_home",
+    "h3data.scene.kinds": "CATEGORIES",
     "h3data.scene.records": "Articulation Asset Box Capsule Cylinder Hull Instance Joint LightSource Part "
     "Ramp Receptacle Room Scene Shape instance_bounds instance_matrix",
     "h3data.scene.scene_file": "load_scene save_scene",

@@ -18,30 +18,11 @@ import msgspec
 
 from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError, did_you_mean
-from h3data.scene.homes.spec import HomeSpec, Look, Preset
+from h3data.plugins import names_from_data
+from h3data.scene.sources import SCENES, SceneFile, SceneGenerator, SceneSource
 
 FORMAT = 1
 SUFFIX = ".toml"
-
-
-@dataclass(frozen=True, kw_only=True)
-class SceneFile:
-    """A scene in a file: Habitat's, or one written by `h3data.scene.save_scene`."""
-
-    path: str
-    """GLB, or Habitat's ``.scene_instance.json``, ``.stage_config.json``, ``.scene_dataset_config.json``."""
-    scene: str = ""
-    """Name of the scene within a ``.scene_dataset_config.json``."""
-    assets: tuple[str, ...] = ()
-    """Additional folders to search for the scene's files; if empty, those of H3DATA_ASSETS."""
-    strict: bool = False
-    """Whether warnings are errors."""
-    allow_missing: bool = False
-    """Whether objects whose files are missing are left out with a warning."""
-
-
-SceneSource = HomeSpec | SceneFile
-"""Everything needed to obtain a scene; hashable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,24 +128,6 @@ def find_scene_set(text: str) -> SceneSet | None:
 
 
 # --- the file ---------------------------------------------------------------------------------------------------------
-class _Home(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A procedural home: the fields of `HomeSpec`."""
-
-    id: str
-    seed: int
-    preset: Preset = "small"
-    area_m2: float | None = None
-    bedrooms: int | None = None
-    bathrooms: int | None = None
-    clutter: float = 1.0
-    density: int = 1
-    articulated: bool = False
-    generation: int = 1
-    style: Look | None = None
-    storeys: int = 1
-    doors: bool = False
-
-
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     id: str
     file: str
@@ -201,8 +164,10 @@ def read_scene_set(path: str | Path) -> SceneSet:
     for k, record in enumerate(content.scenes):
         try:
             scenes.append(_entry(record, path.parent))
-        except (InputError, msgspec.ValidationError) as fault:
-            kind = _File if "file" in record else _Home
+        except InputError as fault:
+            faults.append(f"scenes[{k}]: {str(fault).rstrip('.')}.")
+        except msgspec.ValidationError as fault:
+            kind = _File if "file" in record else _generator(record).Table
             faults.append(f"scenes[{k}]: {_readable(fault, kind)}")
     ids = [e.id for e in scenes]
     faults += [f"scenes: the id {i!r} occurs {ids.count(i)} times." for i in dict.fromkeys(ids) if ids.count(i) > 1]
@@ -235,9 +200,10 @@ def _header_faults(content: _SetFile) -> Iterable[str]:
 
 def _entry(record: dict[str, Any], folder: Path) -> SceneEntry:
     if "file" not in record:
-        home = msgspec.convert(record, _Home)
-        options = {name: value for name, value in msgspec.structs.asdict(home).items() if name != "id"}
-        return SceneEntry(id=_checked_id(home.id), source=HomeSpec(**options))
+        generator = _generator(record)
+        values = {name: value for name, value in record.items() if name != "kind"}
+        table = msgspec.structs.asdict(msgspec.convert(values, generator.Table))
+        return SceneEntry(id=_checked_id(table.pop("id")), source=generator.Spec(**table))
     entry = msgspec.convert(record, _File)
     if ".." in PurePosixPath(entry.file).parts:
         raise InputError(
@@ -247,6 +213,19 @@ def _entry(record: dict[str, Any], folder: Path) -> SceneEntry:
     if not file.is_file():
         raise InputError(f"file: no such file: {entry.file!r}.")
     return SceneEntry(id=_checked_id(entry.id), source=SceneFile(path=str(file), scene=entry.scene))
+
+
+def _generator(record: Mapping[str, Any]) -> SceneGenerator:
+    """What makes the scene of a table without a file.
+
+    Raises:
+        InputError: there is no such generator, or its package is not installed.
+    """
+    with names_from_data():
+        generator = SCENES.get(str(record.get("kind", "home")))
+    if not isinstance(generator, SceneGenerator):
+        raise InputError(f"kind: expected a generator of scenes such as home, got {record['kind']!r}.")
+    return generator
 
 
 def _checked_id(text: str) -> str:

@@ -22,11 +22,11 @@ from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import sources_of
 from h3data.render.sheets.scene_map import eye_level_camera, plan_picture, render_scene
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from h3data.scene.homes.kinds import KINDS, Kind
 from h3data.scene.homes.kinds.kind import furniture_of, thing_of
 from h3data.scene.homes.layout import plan_layout
 from h3data.scene.homes.lived_in.looks import sample_look
 from h3data.scene.homes.spec import Look
+from h3data.scene.kinds import KINDS, Kind
 
 Picture = NDArray[np.uint8]
 PAPER, INK = (250, 250, 248), (30, 30, 36)
@@ -81,7 +81,7 @@ def mesh_picture(mesh: Mesh, *, size_px: int = CELL_PX) -> Picture:
 
 def kinds_sheet() -> Picture:
     """All kinds of the second generation."""
-    kinds = [k for k in KINDS.values() if k.parts]
+    kinds = [k for k in KINDS.values() if k.model]
     cells = [kind_picture(k, seed=n, look=get_args(Look)[n % len(get_args(Look))]) for n, k in enumerate(kinds)]
     names = [k.name.replace("_", " ") for k in kinds]
     return _grid([_labelled(c, n, scale=0.32) for c, n in zip(cells, names, strict=True)], COLUMNS)

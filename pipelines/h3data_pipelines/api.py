@@ -1,4 +1,4 @@
-"""Jobs from Python: ``h3data.generate``, ``h3data.report``, and others. Results come back as objects instead of text.
+"""Jobs from Python: ``h3data.generate``, ``h3data.evaluate``, and others. Results come back as objects instead of text.
 
 Each is imported at first use, from the module of its command.
 """
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from h3data_pipelines.hub.pulling import pull as pull
     from h3data_pipelines.hub.pushing import push as push
     from h3data_pipelines.hub.syncing import sync as sync
-    from h3data_pipelines.pictures.report import report as report
     from h3data_pipelines.pictures.rerender import rerender as rerender
-    from h3data_pipelines.pictures.viewing import view as view
 
 _HOMES = {
     "card": "h3data_pipelines.hub.card",
@@ -29,10 +27,8 @@ _HOMES = {
     "import_": "h3data_pipelines.commands.importing",
     "pull": "h3data_pipelines.hub.pulling",
     "push": "h3data_pipelines.hub.pushing",
-    "report": "h3data_pipelines.pictures.report",
     "rerender": "h3data_pipelines.pictures.rerender",
     "sync": "h3data_pipelines.hub.syncing",
-    "view": "h3data_pipelines.pictures.viewing",
 }
 
 

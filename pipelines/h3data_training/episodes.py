@@ -9,8 +9,8 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from h3data.errors import InputError
-from h3data.habitat.scene_names import listed_scenes
 from h3data.progress import progress
+from h3data.scene.open import listed_scenes
 from h3data_training.settings import Settings
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.step import refuse_stairs

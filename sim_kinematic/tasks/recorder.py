@@ -30,7 +30,7 @@ from h3data.recording import (
 )
 from h3data.recording import Episode as EpisodeRecord
 from h3data.scene import Scene, save_scene, scene_digest
-from h3data.scene.homes import categories_of
+from h3data.scene.kinds import categories_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.episode import Episode

@@ -10,10 +10,10 @@ from typing import Any
 
 from h3data.bodies import Robot
 from h3data.errors import InputError, SceneError
-from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.progress import progress
 from h3data.scene import FreeSpace, Scene
-from h3data.scene.scene_sets import SceneSource
+from h3data.scene.open import named_scenes, open_free_space, open_scene
+from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.tasks.episode import Episode

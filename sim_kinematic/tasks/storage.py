@@ -18,7 +18,7 @@ from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEn
 from h3data.habitat.episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
 from h3data.plugins import names_from_data
 from h3data.scene import FreeSpace, Scene, scene_digest
-from h3data.scene.scene_sets import SceneSource
+from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster, with_motion
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
 

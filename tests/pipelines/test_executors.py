@@ -14,14 +14,14 @@ from pathlib import Path
 
 import pytest
 
+from h3data.commands.executors import check_workers, opened
+from h3data.commands.shards import LostShardError
 from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data.progress import QUIET
 from h3data_pipelines.cli import main
 from h3data_pipelines.execution import ray_cluster, ray_worker
-from h3data_pipelines.execution.executors import check_workers, opened
 from h3data_pipelines.execution.processes import Processes
 from h3data_pipelines.execution.ray_worker import Origin, carry_out, portable_task
-from h3data_pipelines.execution.shards import LostShardError
 
 
 def square(number: int) -> int:

@@ -27,7 +27,7 @@ from h3data_pipelines.commands.table import all_commands
 from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest
 from h3data_pipelines.parsing import parse
-from h3data_pipelines.pictures.viewing import View
+from h3data_viewers.commands.viewing import View
 from sim_kinematic.motion.spec import WALKERS
 
 COMMANDS = all_commands()

@@ -16,14 +16,13 @@ from typing import Any
 import pytest
 
 import h3data
-from h3data.commands.command import Group
+from h3data.commands.command import Group, missing_lines
 from h3data.commands.options import options_of
 from h3data.errors import InputError
 from h3data.metrics.registry import find_profile
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands.table import all_commands
 from h3data_pipelines.parsing import parse
-from h3data_pipelines.pictures.rerender import missing_lines
 from tests.paths import DOCS, ROOT
 
 COMMANDS = all_commands()

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 import h3data
+import h3data_viewers.api
 from h3data.bodies import load_robot
 from h3data.commands.command import Command
 from h3data.commands.options import command_of, options_of, python_value
@@ -33,20 +34,20 @@ from h3data_pipelines.hub.card import Card
 from h3data_pipelines.hub.pulling import Pull
 from h3data_pipelines.hub.pushing import Push
 from h3data_pipelines.hub.syncing import Sync
-from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
-from h3data_pipelines.pictures.viewing import View
+from h3data_viewers.commands.reporting import ReportCommand
+from h3data_viewers.commands.viewing import View
 from sim_kinematic.policies.policy import Still
 from tests.paths import DATA, ROOT
 
 COMMANDS: list[tuple[Callable[..., Any], type[Command]]] = [
     (api.generate, Generate),
     (api.evaluate, Evaluate),
-    (api.report, ReportCommand),
+    (h3data_viewers.api.report, ReportCommand),
     (api.import_, Import),
     (api.export, Export),
     (api.rerender, Rerender),
-    (api.view, View),
+    (h3data_viewers.api.view, View),
     (api.card, Card),
     (api.push, Push),
     (api.pull, Pull),

@@ -39,7 +39,7 @@ PAGES = sorted(
 )
 """CHANGELOG.md may tell of what is no more."""
 NOT_OBJECTS = re.compile(
-    r"h3data\.(tasks|robots|policies|profiles|formats|apps|commands|device_envs|notebooks|schema_version|moments)"
+    r"h3data\.(tasks|robots|policies|profiles|formats|scenes|apps|commands|device_envs|executors|notebooks|viewers|schema_version|moments)"
 )
 """Groups of entry points and keys in the metadata of files."""
 

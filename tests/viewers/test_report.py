@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from h3data.commands.shards import LostShardError
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import measure_files
@@ -24,7 +25,6 @@ from h3data.metrics.paper.published import published_results
 from h3data.recording import DatasetWriter, Recording, open_recording
 from h3data.recording.records import STEP_NS, Agent, Episode
 from h3data_pipelines.cli import main
-from h3data_pipelines.execution.shards import LostShardError
 from h3data_training.curve import save_curve
 from h3data_viewers.html_report.report import Report, make_report
 from h3data_viewers.html_report.report_data import gather, same_episodes

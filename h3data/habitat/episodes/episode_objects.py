@@ -27,7 +27,7 @@ from h3data.habitat.scenes.scene_instance import INSTANCE_ENDING
 from h3data.habitat.scenes.templates import TemplateReader
 from h3data.mesh.loading import is_file
 from h3data.scene.records import Asset, Instance, Scene
-from h3data.scene.scene_sets import SceneFile, SceneSource
+from h3data.scene.sources import SceneFile, SceneSource
 
 
 class ObjectSearch(NamedTuple):

@@ -20,7 +20,6 @@ from h3data.scene.homes.furnishing.furniture_living import ceiling_lamp
 from h3data.scene.homes.furnishing.groups import NoRoomError
 from h3data.scene.homes.furnishing.opening.placing import carrying, opening_assets, placed_opening
 from h3data.scene.homes.furnishing.place import Placed, RoomState, room_state
-from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.layout import WALL_HEIGHT, Layout, RoomPlan, plan_layout
 from h3data.scene.homes.lived_in.clutter import leave_about
 from h3data.scene.homes.lived_in.looks import sample_look
@@ -32,6 +31,7 @@ from h3data.scene.homes.storeys.join import joined_storeys
 from h3data.scene.homes.storeys.plan import plan_storeys, upper_seed
 from h3data.scene.homes.storeys.stairwell import TOP_M, stairwell_assets
 from h3data.scene.homes.style import Style, sample_style
+from h3data.scene.kinds import KINDS
 from h3data.scene.records import Articulation, Asset, Instance, Room, Scene
 
 _log = logging.getLogger(__name__)

@@ -12,12 +12,12 @@ from h3data.geometry import heading_from_quat, quat_from_heading
 from h3data.scene.articulation import posed
 from h3data.scene.homes.furnishing.furniture import box_part
 from h3data.scene.homes.furnishing.opening.placing import MovingPart, Opening, opening_assets, placed_opening
-from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.layout import DOOR_HEIGHT, WALL_THICKNESS, Layout, RoomPlan
 from h3data.scene.homes.layout import Opening as Doorway
 from h3data.scene.homes.solids import Color, MeshBuilder, shade
 from h3data.scene.homes.structure import plan_box, wall_runs
 from h3data.scene.homes.style import Style
+from h3data.scene.kinds import KINDS
 from h3data.scene.records import Articulation, Instance, Joint, Room, Scene, instance_bounds
 
 THICK_M, GAP_M = 0.04, 0.012

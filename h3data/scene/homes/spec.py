@@ -1,4 +1,4 @@
-"""`HomeSpec` and presets, the table of semantic categories, and the random numbers of each stage of generation."""
+"""`HomeSpec` and presets, and the random numbers of each stage of generation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -95,6 +95,8 @@ def min_area_m2(bedrooms: int, bathrooms: int) -> float:
 @dataclass(frozen=True, kw_only=True)
 class HomeSpec:
     """Complete description of a procedural home: the same spec gives the same scene, byte for byte."""
+
+    kind: ClassVar[str] = "home"
 
     seed: int = 0
     preset: Preset = "small"
@@ -239,58 +241,6 @@ def _check_whole(name: str, value: object, low: int, high: int) -> None:
         return
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         raise InputError(f"{name} of a home must be a whole number from {low} to {high}, got {value!r}.")
-
-
-_STRUCTURE = ("wall", "floor", "ceiling", "door", "window", "trim")
-_FURNITURE = (
-    "sofa",
-    "armchair",
-    "coffee_table",
-    "tv_stand",
-    "tv",
-    "shelf",
-    "dining_table",
-    "chair",
-    "kitchen_counter",
-    "stove",
-    "fridge",
-    "kitchen_cabinet",
-    "bed",
-    "nightstand",
-    "wardrobe",
-    "desk",
-    "toilet",
-    "bathroom_sink",
-    "bathtub",
-    "shower",
-    "rug",
-    "floor_lamp",
-    "plant",
-    "picture",
-    "mirror",
-    "ceiling_lamp",
-    "console",
-    "kitchen_island",
-    "washer",
-    "bench",
-    "blind",
-)
-_OBJECTS = ("can", "mug", "bowl", "box", "bottle", "book", "apple", "orange")
-
-OBJECT_CATEGORIES: tuple[str, ...] = _OBJECTS
-"""Small objects that stand on receptacles and may be carried (``motion="kinematic"``)."""
-
-CATEGORIES: Mapping[str, int] = MappingProxyType(
-    {
-        **{name: 1 + i for i, name in enumerate(_STRUCTURE)},
-        **{name: 10 + i for i, name in enumerate(_FURNITURE)},
-        **{name: 60 + i for i, name in enumerate(_OBJECTS)},
-    }
-)
-"""Semantic id of every category: 1-9 the building, 10-59 furniture, 60-99 small objects; 0 is "unlabelled".
-
-Stable: append to a block, never reorder, because recorded semantic images contain these numbers.
-"""
 
 
 def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generator:

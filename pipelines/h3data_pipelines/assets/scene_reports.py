@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +13,11 @@ import numpy as np
 
 from h3data.commands.command import Outcome
 from h3data.errors import InputError, MissingAssetError, SceneError
-from h3data.habitat.scene_names import NamedScene, open_scene
 from h3data.scene import HOME_PRESETS, FreeSpace, Scene
 from h3data.scene.homes import HOME_NAMES
-from h3data.scene.scene_sets import SceneFile, SceneSource, builtin_sets, find_scene_set
+from h3data.scene.open import NamedScene, open_scene
+from h3data.scene.scene_sets import builtin_sets, find_scene_set
+from h3data.scene.sources import SceneFile, SceneSource
 
 if TYPE_CHECKING:
     from h3data.scene.validation import Problem
@@ -86,16 +88,13 @@ def presets_and_sets() -> Outcome:
 
 def _load_without_missing(source: SceneSource) -> tuple[Scene, str]:
     """Loads a scene without assets whose files are missing, and a text that names them (empty if none are)."""
-    from h3data.habitat.scenes.scene_instance import load_habitat_scene
-
     try:
         return open_scene(source), ""
     except (MissingAssetError, SceneError) as error:
         if not isinstance(source, SceneFile) or source.strict or not Path(source.path).exists():
             raise
         try:
-            scene = load_habitat_scene(source.path, source.scene or None, allow_missing=True, assets=source.assets)
-            return scene, str(error)
+            return open_scene(replace(source, allow_missing=True)), str(error)
         except SceneError:
             raise error from None
 

@@ -25,12 +25,12 @@ from h3data.commands.command import (
 )
 from h3data.errors import InputError, SceneError
 from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RigidObject
-from h3data.habitat.scene_names import NamedScene, named_scenes, open_free_space, open_scene
-from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.progress import progress
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.homes import HOME_NAMES
-from h3data.scene.scene_sets import SceneFile, SceneSet, find_scene_set
+from h3data.scene.open import NamedScene, collection_and_scene, is_collection, named_scenes, open_free_space, open_scene
+from h3data.scene.scene_sets import SceneSet, find_scene_set
+from h3data.scene.sources import SceneFile
 from h3data_pipelines.assets.scene_reports import (
     AGENT_HEIGHT_M,
     AGENT_RADIUS_M,
@@ -82,7 +82,7 @@ class ScenesList:
             return presets_and_sets()
         scenes = _all_named(self.scenes, self.homes, self.assets, self.strict, self.allow_missing)
         # Names only: a Habitat dataset may have hundreds of scenes, and measuring each takes seconds.
-        if all(text.endswith(DATASET_ENDING) for text in self.scenes):
+        if all(is_collection(text) for text in self.scenes):
             names = [named.name for named in scenes]
             return Outcome(text="\n".join(names), data={"scenes": [{"scene": name} for name in names]})
         rows = [_row(named) for named in scenes]
@@ -256,6 +256,7 @@ class ScenesExport:
     def _to_habitat(self, scenes: Sequence[Scene], sets: Sequence[SceneSet]) -> tuple[list[Path], str]:
         from h3data.exporters.habitat.scenes import export_habitat_dataset
         from h3data.habitat.episodes.episode_files import write_episodes
+        from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 
         stems = [re.sub(r"[^A-Za-z0-9_-]+", "_", s.label) for s in sets]
         name = stems[0] if sets else None
@@ -347,10 +348,7 @@ class ScenesValidate:
             return {}
         if len(names) == 1 and self.out.suffix.lower() == ".png":
             return {names[0]: _png(self.out, force=self.force)}
-        stems = {
-            name: re.sub(r"[^A-Za-z0-9_-]+", "_", Path(name).name.replace(DATASET_ENDING, "").split(".")[0])
-            for name in names
-        }
+        stems = {name: re.sub(r"[^A-Za-z0-9_-]+", "_", _stem(name)) for name in names}
         if len(set(stems.values())) < len(stems):
             raise InputError("Two scenes have the same name: their images would overwrite each other.")
         return {name: claim_file(self.out / f"{stem}.png", force=self.force) for name, stem in stems.items()}
@@ -379,7 +377,7 @@ def _refuse_preset(text: str) -> None:
 def _one(text: str, assets: Sequence[Path], strict: bool, allow_missing: bool) -> NamedScene:
     _refuse_preset(text)
     scenes = _named(text, 1, assets, strict, allow_missing)
-    if len(scenes) != 1 and text.endswith(DATASET_ENDING):
+    if len(scenes) != 1 and is_collection(text):
         names = ", ".join(f"#{n.source.scene}" for n in scenes[:8] if isinstance(n.source, SceneFile))
         raise InputError(
             f"Expected a single scene, the dataset has {len(scenes)}: add one to its path ({names or 'none'}): {text}"
@@ -387,6 +385,12 @@ def _one(text: str, assets: Sequence[Path], strict: bool, allow_missing: bool) -
     if len(scenes) != 1:
         raise InputError(f"Expected a single scene, {text!r} is a set of {len(scenes)}: name one, e.g. {text}#0.")
     return scenes[0]
+
+
+def _stem(name: str) -> str:
+    """A name without folders and endings: ``replica#apt_0`` of ``sets/replica.scene_dataset_config.json#apt_0``."""
+    file, scene = collection_and_scene(name)
+    return Path(name).name.split(".")[0] if file is None else f"{file.name.split('.')[0]}#{scene}".split(".")[0]
 
 
 def _all_named(texts: Sequence[str], *options: Any) -> list[NamedScene]:

@@ -7,7 +7,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -28,6 +28,7 @@ from h3data.commands.command import (
 )
 from h3data.errors import InputError
 from h3data.files import size_text
+from h3data.plugins import Registry
 from h3data.progress import is_quiet, progress
 from h3data.recording import Recording
 from h3data.replay import CameraTrack, Replay, camera_track
@@ -37,6 +38,9 @@ from h3data_pipelines.machine.warmup import compiled_aside
 from h3data_pipelines.outputs import Target
 from h3data_pipelines.pictures.rendering import render_files
 from h3data_pipelines.pictures.rerender import parse_size
+
+VIEWERS: Registry[Callable[..., object]] = Registry("h3data.viewers", {}, what="viewer")
+"""What writes a recording as the file of a viewer, as `h3data_viewers.write_rrd` does."""
 
 if TYPE_CHECKING:
     from h3data.render import Output
@@ -89,6 +93,8 @@ class Demo:
         if not 0 < self.human_speed <= 4:
             raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
         size = parse_size(self.size)
+        if "rerun" not in VIEWERS.names():
+            VIEWERS.get("rerun")  # says which package is missing, before anything is done
         out = claim_folder(self.out, force=self.force)
         if self.force:
             remove_dataset(out / "dataset")
@@ -232,14 +238,14 @@ def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None
 def _write_beside(recording: Recording, videos: _Videos, out: Path) -> None:
     """The dataset and the file for Rerun, which waits for the videos."""
     from h3data.recording import DatasetWriter
-    from h3data_viewers import CameraFeed, write_rrd
 
     with DatasetWriter(out / "dataset") as writer:
         writer.add(recording)
-    tracks = {name: videos.track(name) for name in VIDEOS}
-    feeds = [CameraFeed(camera=t.camera, poses=t.poses, video=out / f"{name}.mp4") for name, t in tracks.items()]
+    cameras = [(videos.track(name), out / f"{name}.mp4") for name in VIDEOS]
     plain = Replay(recording, detail=False)
-    write_rrd(recording, out / "episode.rrd", replay=plain, cameras=feeds, videos_ready=videos.written.result)
+    VIEWERS.get("rerun")(
+        recording, out / "episode.rrd", replay=plain, cameras=cameras, videos_ready=videos.written.result
+    )
 
 
 @dataclass

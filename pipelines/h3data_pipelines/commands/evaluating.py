@@ -20,11 +20,11 @@ from h3data.commands.command import (
     WalkOption,
     read_rules,
 )
+from h3data.commands.executors import ExecutorOption
 from h3data.commands.options import OfTasks, TaskNotes, command_of
 from h3data.progress import progress
 from h3data.render.light.sources import LightMode
 from h3data_pipelines.arguments import result_of
-from h3data_pipelines.execution.executors import ExecutorOption
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
 from h3data_pipelines.jobs.skill_evaluations import evaluate_skills
 

@@ -31,15 +31,15 @@ from h3data.commands.command import (
     unfinished_dataset,
     uninterrupted,
 )
+from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import OfTasks, TaskNotes, command_line, command_of
+from h3data.commands.shards import Executor
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
 from h3data.terminal import counted
 from h3data_pipelines.arguments import result_of
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
-from h3data_pipelines.execution.shards import Executor
 from h3data_pipelines.hub.provenance import write_commands
 from h3data_pipelines.jobs.episode_files import (
     FileJobs,

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.commands.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
+from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.errors import InputError
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.execution.processes import core_count
 
 if TYPE_CHECKING:

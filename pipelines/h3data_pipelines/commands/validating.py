@@ -13,11 +13,11 @@ from typing import Any
 import tyro
 
 from h3data.commands.command import JsonFlag, Outcome
+from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.errors import FormatError, H3DataError, InputError, with_code
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, read_ahead
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.jobs.episode_parts import EpisodePart, episode_parts
 
 _TOGETHER = 16

@@ -18,7 +18,7 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from h3data_pipelines.execution.shards import LostShardError, R, S
+from h3data.commands.shards import LostShardError, R, S
 
 _log = logging.getLogger(__name__)
 
@@ -31,6 +31,12 @@ _AHEAD = 4
 def core_count() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def local_processes(address: str, workers: int) -> Iterator[Processes]:
+    """The executor ``local``; it has no address."""
+    yield Processes(workers)
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+from h3data.commands.shards import LostShardError, R, S
 from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data_pipelines.execution.ray_worker import Origin, portable_task
-from h3data_pipelines.execution.shards import LostShardError, R, S
 
 TRIES = 4
 """Times that a shard is begun before it is given up, when the process that had it dies each time."""

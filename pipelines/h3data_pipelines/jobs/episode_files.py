@@ -12,7 +12,7 @@ from h3data.commands.command import claim_file
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording import Recording
-from h3data.scene.scene_sets import SceneFile
+from h3data.scene.sources import SceneFile
 from h3data_pipelines.jobs.episodes import Choices, Job, SampledEpisode, checked, chosen_count, make_jobs, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import is_failed
 from h3data_pipelines.jobs.running import simulate_job

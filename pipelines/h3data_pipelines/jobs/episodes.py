@@ -14,11 +14,12 @@ import msgspec
 
 from h3data.errors import InputError
 from h3data.recording import Recording
-from h3data.scene.scene_sets import SceneFile, SceneSet, SceneSource
+from h3data.scene.scene_sets import SceneSet
+from h3data.scene.sources import SceneFile, SceneSource
 
 if TYPE_CHECKING:
     from h3data.habitat.episodes.stored_episodes import StoredEpisode
-    from h3data.habitat.scene_names import NamedScene
+    from h3data.scene.open import NamedScene
     from sim_kinematic.tasks.episode import Episode
     from sim_kinematic.tasks.task import Task
 
@@ -92,7 +93,7 @@ class Job:
 
     def episode(self) -> Episode:
         """Scene, starts and rules, ready to run."""
-        from h3data.habitat.scene_names import open_free_space, open_scene
+        from h3data.scene.open import open_free_space, open_scene
         from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
         from sim_kinematic.tasks.storage import EpisodePlace
 
@@ -295,7 +296,7 @@ def make_jobs(
     Raises:
         InputError: no such task, scenes, agents or policy, or a set has fewer episodes; the message lists what there is.
     """
-    from h3data.habitat.scene_names import named_scenes
+    from h3data.scene.open import named_scenes
     from h3data.scene.scene_sets import find_scene_set
 
     choices = checked(choices)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
-from h3data.commands.command import claim_file, keeping
+from h3data.commands.command import claim_file, keeping, recording_stem
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
 from h3data.habitat.asset_library import AssetLibrary
@@ -120,14 +120,6 @@ def _is_imported(recording: Recording, target: Path) -> bool:
         return target.is_file() and not recordings_equal(recording, read_mcap(target))
     except H3DataError:
         return False
-
-
-def recording_stem(path: Path) -> str:
-    """``my_session`` of ``my_session.gfx_replay.json.gz``."""
-    name = path.name
-    for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):
-        name = name.removesuffix(suffix)
-    return name or path.stem
 
 
 def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from h3data.commands.command import claim_folder, keeping, write_text
+from h3data.commands.executors import check_workers, opened
 from h3data.errors import FormatError, InputError
 from h3data.terminal import counted
-from h3data_pipelines.execution.executors import check_workers, opened
 from h3data_pipelines.jobs.episodes import Job
 
 RESULTS = "episodes"

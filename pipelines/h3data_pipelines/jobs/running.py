@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
+from h3data.commands.shards import Executor
 from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.render.light.sources import LightMode
-from h3data_pipelines.execution.shards import Executor
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import failed_recording, is_failed
 

@@ -26,8 +26,11 @@ from h3data.commands.command import (
     StandInsFlag,
     check_backend,
     keeping,
+    missing_lines,
     open_episode,
+    recording_stem,
 )
+from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import command_of
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
@@ -37,10 +40,8 @@ from h3data.recording.storage import local, place
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.terminal import counted
 from h3data_pipelines.arguments import result_of
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.jobs.camera_log import CameraLog
-from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.outputs import Format, OutputName, Target
 from h3data_pipelines.pictures.rendering import frames_per_second, render_files
 
@@ -384,22 +385,3 @@ def parse_steps(text: str, count: int) -> range:
     if not len(steps):
         raise InputError(f"The steps {text!r} select nothing: the recording has {count} steps, 0 to {count - 1}.")
     return steps
-
-
-def missing_lines(replay: Replay, *, max_names: int = 8) -> list[str]:
-    """Lines of text that list the assets of a replay that were not found."""
-    if not replay.missing:
-        return []
-    names = sorted(replay.missing)
-    shown = "built-in bodies and named boxes stand in" if replay.stand_ins else "shown as striped placeholders"
-    plainer = "" if replay.stand_ins else "; --stand-ins draws plain bodies and named boxes"
-    lines = [
-        f"{len(names)} assets not found, {shown} (Hint: --assets DIR or H3DATA_ASSETS; "
-        f"h3data docs import says how to get Habitat's{plainer}):"
-    ]
-    for name in names[:max_names]:
-        count = replay.missing[name]
-        lines.append(f"  {name}" + (f"  x{count}" if count > 1 else ""))
-    if len(names) > max_names:
-        lines.append(f"  ... and {len(names) - max_names} more (--json lists all)")
-    return lines

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from h3data.commands.command import Outcome
-from h3data.habitat.scene_names import listed_scenes
 from h3data.progress import say
+from h3data.scene.open import listed_scenes
 from h3data.terminal import counted
 from h3data_training.commands.folders import run_folder
 

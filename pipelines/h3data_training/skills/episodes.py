@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import FormatError, SceneError
 from h3data.files import part_file
-from h3data.habitat.scene_names import listed_scenes, named_scenes
 from h3data.npz_arrays import npz_arrays
 from h3data.scene import FreeSpace, Scene
+from h3data.scene.open import listed_scenes, named_scenes
 from h3data_training.episodes import by_home
 from h3data_training.skills.settings import SkillSettings
 from h3data_training.torch.skills.bank import COLUMNS, SkillBank

@@ -27,7 +27,7 @@ from h3data.habitat.episodes.stored_rearrangements import (
 )
 from h3data.plugins import names_from_data
 from h3data.scene import FreeSpace, Scene, scene_digest
-from h3data.scene.scene_sets import SceneFile, SceneSource
+from h3data.scene.sources import SceneFile, SceneSource
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.roster import ROBOT_BODY, make_roster, with_body
 from sim_kinematic.agents.stands import robot_fits

@@ -18,7 +18,6 @@ from h3data.geometry import pose_multiply, pose_to_matrix, quat_rotate
 from h3data.mesh.mesh import Mesh
 from h3data.scene import CATEGORIES, HOME_PRESETS, HomeSpec, Scene, build_home, instance_matrix, scene_digest
 from h3data.scene.freespace._footprints import walkable_from_shapes
-from h3data.scene.homes import OBJECT_CATEGORIES
 from h3data.scene.homes.check import faults, use_edges, walkable_area
 from h3data.scene.homes.furnishing.objects import OBJECT_MAKERS
 from h3data.scene.homes.furnishing.place import GAP_BAND, gap
@@ -26,6 +25,7 @@ from h3data.scene.homes.layout import WALL_THICKNESS, plan_layout
 from h3data.scene.homes.solids import MeshBuilder
 from h3data.scene.homes.spec import stage_rng
 from h3data.scene.homes.structure import plan_box, wall_boxes, wall_thickness_span
+from h3data.scene.kinds import KINDS
 from h3data.scene.records import Asset, Box, Cylinder, Hull, Instance, Shape
 
 SPECS = [
@@ -42,6 +42,7 @@ def home(spec: HomeSpec) -> Scene:
     return build_home(spec)
 
 
+OBJECTS = [kind.name for kind in KINDS.values() if kind.generation == 1 and kind.role == "thing"]
 STRUCTURE = {name for name, number in CATEGORIES.items() if number < 10} | {"blind"}
 """Built in world coordinates, so that their pose says nothing."""
 
@@ -433,7 +434,7 @@ def test_ids_layers_and_motion(spec: HomeSpec):
     for i in scene.instances:
         category = scene.assets[i.asset].category
         assert i.semantic_id == CATEGORIES[category]
-        assert (i.motion == "kinematic") == (category in OBJECT_CATEGORIES)
+        assert (i.motion == "kinematic") == (category in OBJECTS)
         assert (i.layer == "ceiling") == (category in ("ceiling", "ceiling_lamp"))
     furniture = {scene.assets[i.asset].category for i in scene.static_instances}
     needed = (
@@ -448,7 +449,7 @@ def test_category_ids_are_stable():
     assert (CATEGORIES["wall"], CATEGORIES["sofa"], CATEGORIES["console"], CATEGORIES["can"]) == (1, 10, 36, 60)
     assert len(set(CATEGORIES.values())) == len(CATEGORIES)
     assert 0 not in CATEGORIES.values()
-    assert set(OBJECT_MAKERS) == set(OBJECT_CATEGORIES)
+    assert set(OBJECT_MAKERS) == set(OBJECTS)
 
 
 # --- meshes -----------------------------------------------------------------------------------------------------------

@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from h3data.scene.homes.kinds import KINDS, Kind
 from h3data.scene.homes.kinds.kind import extent, furniture_of, grasp_point, thing_of
+from h3data.scene.homes.kinds.shapes import model_of
 from h3data.scene.homes.lived_in.habits import CHANCE, ON_FLOOR, ON_FURNITURE
 from h3data.scene.homes.lived_in.looks import LOOKS, thing_style
 from h3data.scene.homes.lived_in.rooms import EXTRAS, ON_WALL
-from h3data.scene.homes.spec import CATEGORIES, Look
+from h3data.scene.homes.spec import Look
+from h3data.scene.kinds import CATEGORIES, KINDS, Kind
 from h3data.scene.records import Box, Cylinder, Shape
 
-MADE = [k for k in KINDS.values() if k.parts]
+MADE = [k for k in KINDS.values() if k.model]
 made = pytest.mark.parametrize("kind", MADE, ids=lambda k: k.name)
 LOOK: Look = "nordic"
 
@@ -92,7 +93,7 @@ def _box(shape: Shape) -> np.ndarray:
     return np.stack([shape.pose[:3] - half, shape.pose[:3] + half])
 
 
-@pytest.mark.parametrize("kind", [k for k in MADE if k.surfaces], ids=lambda k: k.name)
+@pytest.mark.parametrize("kind", [k for k in MADE if model_of(k).surfaces], ids=lambda k: k.name)
 def test_surfaces_are_free_above_and_held_from_below(kind: Kind):
     for seed in range(3):
         piece = furniture_of(kind, np.random.default_rng(seed), thing_style(LOOK))

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError, SceneError
-from h3data.habitat.scene_names import named_scenes, open_scene
 from h3data.scene import HomeSpec, Scene, build_home, scene_digest
-from h3data.scene.homes import CATEGORIES, categories_of
 from h3data.scene.homes.check import faults
-from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.layout import Layout, plan_layout
 from h3data.scene.homes.spec import seed_look
+from h3data.scene.kinds import CATEGORIES, KINDS, categories_of
+from h3data.scene.open import named_scenes, open_scene
 from h3data.scene.scene_sets import builtin_sets, find_scene_set
 
 SPEC = HomeSpec(seed=1, generation=2)

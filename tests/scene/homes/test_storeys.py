@@ -7,12 +7,11 @@ import pytest
 import shapely
 
 from h3data.errors import InputError
-from h3data.habitat.scene_names import named_scenes, open_scene
 from h3data.scene import FreeSpace, HomeSpec, build_home, instance_bounds, scene_digest
 from h3data.scene.articulation import joints_of
-from h3data.scene.homes import categories_of
-from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.storeys.plan import GOING_M, RISE_M, RISERS, STOREY_M
+from h3data.scene.kinds import KINDS, categories_of
+from h3data.scene.open import named_scenes, open_scene
 from h3data.scene.validation import find_problems, free_space_for_validation
 from tests import storeys
 

@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from h3data.habitat.scene_names import named_scenes, open_scene
 from h3data.recording import Recording
+from h3data.scene.open import named_scenes, open_scene
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.resume import resume, verify

@@ -21,7 +21,7 @@ from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data.files import part_file
 from h3data.geometry import transform_points
 from h3data.recording.records import Recording
-from h3data.replay import Replay, camera_track
+from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_viewers.rerun.cameras import CameraFeed, ImageStorage, camera_entity, log_camera
 from h3data_viewers.rerun.entities import Drawable, PosedScene, entity_part, log_agents, log_rigid, log_skins
 from h3data_viewers.rerun.floor_marks import log_free_space, log_goals
@@ -58,7 +58,7 @@ def write_rrd(
     path: str | Path,
     *,
     replay: PosedScene | None = None,
-    cameras: Sequence[CameraFeed] = (),
+    cameras: Sequence[CameraFeed | tuple[CameraTrack, Path]] = (),
     videos: Mapping[str, Path] | None = None,
     videos_ready: Callable[[], object] | None = None,
     images: ImageStorage = "stills",
@@ -71,7 +71,7 @@ def write_rrd(
         recording: recording to show.
         path: path of the ``.rrd`` file; missing folders are created.
         replay: meshes and poses, as in `ShownRecording`.
-        cameras: cameras to show.
+        cameras: cameras to show, as feeds or as tracks with their MP4 files.
         videos: MP4 files of cameras of the replay, as in `ShownRecording`.
         videos_ready: called before they are read; it may wait until they are complete, while all else is written here.
         images: storage of camera videos, see `h3data_viewers.rerun.cameras.log_camera`.
@@ -83,7 +83,11 @@ def write_rrd(
         InputError: ``path`` exists and ``overwrite`` is false, or a camera's video cannot be read.
         MissingExtraError: rerun-sdk is not installed.
     """
-    shown = ShownRecording(recording=recording, replay=replay, cameras=cameras, videos=videos or {})
+    feeds = [
+        each if isinstance(each, CameraFeed) else CameraFeed(camera=each[0].camera, poses=each[0].poses, video=each[1])
+        for each in cameras
+    ]
+    shown = ShownRecording(recording=recording, replay=replay, cameras=feeds, videos=videos or {})
     path, ready = Path(path), videos_ready
     return _write_file([shown], path, images=images, skin_every=skin_every, overwrite=overwrite, ready=ready)
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from h3data.geometry import IDENTITY_QUAT, pose_multiply, quat_from_heading
 from h3data.scene.homes.furnishing.objects import AFFINITY, OBJECT_MAKERS, renamed
-from h3data.scene.homes.spec import CATEGORIES
 from h3data.scene.homes.style import Style
+from h3data.scene.kinds import CATEGORIES
 from h3data.scene.records import Asset, Instance
 
 _VARIANTS = 3

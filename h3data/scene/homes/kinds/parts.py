@@ -103,24 +103,9 @@ def soft(
     return Part("soft", color, (x, y, z), (w, h, d, r), turn)
 
 
-def pillow(
-    color: Paint, x: float, y: float, z: float, w: float, h: float, d: float, *, turn: Point = (0, 0, 0)
-) -> Part:
-    """A pillow lying flat."""
-    return Part("pillow", color, (x, y, z), (w, h, d), turn)
-
-
 def line(color: Paint, r: float, *points: Point, n: int = 6) -> tuple[Part, ...]:
     """A bent tube through points."""
     return tuple(Part("line", color, a, (*b, r), detail=n) for a, b in pairwise(points))
-
-
-def arc(
-    color: Paint, x: float, y: float, r: float, start: float, end: float, thick: float, *, z: float = 0.0, n: int = 6
-) -> tuple[Part, ...]:
-    """A tube along an arc in the plane z, from one angle to another (0 = +x, 90 = up)."""
-    angle = np.radians(np.linspace(start, end, n + 1))
-    return line(color, thick, *((x + r * float(np.cos(a)), y + r * float(np.sin(a)), z) for a in angle), n=5)
 
 
 def leaves(
@@ -133,32 +118,6 @@ def leaves(
 def legs(color: Paint, half_x: float, half_z: float, top: float, thick: float = 0.04) -> tuple[Part, ...]:
     """Four square legs."""
     return tuple(box(color, sx * half_x, 0, sz * half_z, thick, top, thick) for sx in (-1, 1) for sz in (-1, 1))
-
-
-def fronts(
-    color: Paint,
-    handle: Paint,
-    w: float,
-    y0: float,
-    y1: float,
-    z: float,
-    *,
-    rows: int = 1,
-    columns: int = 1,
-    knob: bool = False,
-) -> tuple[Part, ...]:
-    """Doors or drawers with handles on the front of a carcass of width ``w`` whose front lies at ``z``."""
-    parts: list[Part] = []
-    a, b = w / columns, (y1 - y0) / rows
-    for i in range(columns):
-        for k in range(rows):
-            x, y = -w / 2 + (i + 0.5) * a, y0 + k * b
-            parts.append(box(color, x, y + 0.004, z + 0.008, a - 0.008, b - 0.008, 0.02, bevel=0.003))
-            if knob:
-                parts.append(rod(handle, x, y + b / 2 - 0.011, z + 0.029, 0.011, 0.022, turn=(90, 0, 0), n=8))
-            else:
-                parts.append(box(handle, x, y + b - min(0.05, b / 2), z + 0.026, min(0.14, a / 2), 0.012, 0.02))
-    return tuple(parts)
 
 
 Nested = Part | tuple["Nested", ...]

@@ -11,12 +11,12 @@ import numpy as np
 from h3data.geometry import IDENTITY_QUAT, pose_multiply, quat_from_heading, quat_multiply
 from h3data.scene.homes.furnishing.objects import OBJECT_MAKERS, renamed
 from h3data.scene.homes.furnishing.place import RoomState, footprint, overlap
-from h3data.scene.homes.kinds import KINDS
-from h3data.scene.homes.kinds.kind import thing_of
+from h3data.scene.homes.kinds.kind import is_aligned, thing_of
 from h3data.scene.homes.lived_in.habits import CHANCE, ON_FLOOR, ON_FURNITURE, Habit
 from h3data.scene.homes.lived_in.looks import thing_style
 from h3data.scene.homes.spec import Look
 from h3data.scene.homes.zoning import Rect
+from h3data.scene.kinds import KINDS
 from h3data.scene.records import Asset, Instance, Receptacle
 
 _VARIANTS = 3
@@ -37,7 +37,7 @@ def model_of(kind: str, look: Look, variant: int) -> Asset:
     """One of the models of a kind of thing in a style; homes share them."""
     name = f"{kind}_{look}_{variant}"
     rng = np.random.default_rng(list(name.encode()))
-    if KINDS[kind].parts:
+    if KINDS[kind].model:
         return thing_of(KINDS[kind], rng, thing_style(look), name)
     return renamed(OBJECT_MAKERS[kind](rng, thing_style(look)), name)
 
@@ -107,7 +107,7 @@ def _turned_half(asset: Asset, heading: float) -> tuple[float, float]:
 
 
 def _heading(rng: np.random.Generator, asset: Asset) -> float:
-    if KINDS[asset.category].aligned:
+    if is_aligned(KINDS[asset.category]):
         return float(rng.choice([0.0, np.pi])) if rng.random() < 0.4 else 0.0
     return float(rng.uniform(-np.pi, np.pi))
 
@@ -291,7 +291,7 @@ def _on_floor(things: _Things, habit: Habit, count: int, state: RoomState, taken
                 continue
             taken.append(rect)
             heading = side * np.pi / 2 + (
-                0.0 if both or KINDS[asset.category].aligned else float(rng.uniform(-0.08, 0.08))
+                0.0 if both or is_aligned(KINDS[asset.category]) else float(rng.uniform(-0.08, 0.08))
             )
             frame = np.concatenate([[x, 0.0, z], quat_from_heading(heading)])
             for s in (-1, 1) if both else (0,):

@@ -18,12 +18,12 @@ from h3data.scene.homes.furnishing.furniture import Furniture
 from h3data.scene.homes.furnishing.groups import backed, hang, hang_pictures, in_a_row, need, place_rug, place_single
 from h3data.scene.homes.furnishing.place import Member, RoomState, overlap, side_span, strip
 from h3data.scene.homes.furnishing.search import place_at_wall, place_free
-from h3data.scene.homes.kinds import KINDS
 from h3data.scene.homes.kinds.kind import furniture_of
 from h3data.scene.homes.lived_in.models import remodel
 from h3data.scene.homes.lived_in.settling import settle
 from h3data.scene.homes.rooms import FURNISH
 from h3data.scene.homes.style import Style
+from h3data.scene.kinds import KINDS
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "living": (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from functools import partial
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import (
     FailedOption,
     ForceFlag,
@@ -21,18 +23,16 @@ from h3data.commands.command import (
     claim_file,
     write_text,
 )
+from h3data.commands.executors import ExecutorOption, check_workers, opened
 from h3data.commands.options import command_line, command_of
 from h3data.errors import InputError
-from h3data_pipelines.arguments import result_of
-from h3data_pipelines.execution.executors import ExecutorOption, check_workers, opened
-from h3data_pipelines.jobs.table_cells import or_none
 
 if TYPE_CHECKING:
     from typing import Literal
 
     from h3data.bodies.people.rigid_parts import PeopleStyle
+    from h3data.commands.arguments import FilePath, Names, Paths
     from h3data.render.light.sources import LightMode
-    from h3data_pipelines.arguments import FilePath, Names, Paths
     from h3data_viewers.html_report.report import Report
     from h3data_viewers.html_report.report_data import Run
 
@@ -187,9 +187,14 @@ def _over_seeds(run: Run) -> dict[str, Any]:
     return {
         "policies": list(run.seeds),
         "metrics": {
-            name: {"mean": or_none(mean), "deviation": or_none(deviation)} for name, (mean, deviation) in known.items()
+            name: {"mean": _or_none(mean), "deviation": _or_none(deviation)}
+            for name, (mean, deviation) in known.items()
         },
     }
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def _text(report: Report, written: list[Path]) -> str:

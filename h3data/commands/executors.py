@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Annotated
 
 import tyro
 
+from h3data.commands.shards import Executor
 from h3data.errors import InputError, did_you_mean
-from h3data_pipelines.execution.processes import Processes
-from h3data_pipelines.execution.shards import Executor
+from h3data.plugins import Registry
+
+EXECUTORS: Registry[Callable[[str, int], AbstractContextManager[Executor]]] = Registry(
+    "h3data.executors", {}, what="executor"
+)
+"""What opens an executor, given what follows ``://`` in its name (with the name; empty where nothing does) and the workers."""
 
 ExecutorOption = Annotated[
     str,
@@ -35,19 +40,12 @@ def check_workers(executor: str, workers: int | None) -> None:
         raise InputError(f"--workers must be at least 1, got {workers}.")
 
 
-@contextmanager
-def opened(executor: str, workers: int) -> Iterator[Executor]:
-    """The executor of that name.
+def opened(executor: str, workers: int) -> AbstractContextManager[Executor]:
+    """The executor of that name, for a ``with`` statement.
 
     Raises:
         InputError: there is no such executor, or no cluster at its address.
         MissingExtraError: Ray is not installed.
     """
     check_workers(executor, workers)
-    if executor == "local":
-        yield Processes(workers)
-        return
-    from h3data_pipelines.execution.ray_cluster import ray_cluster
-
-    with ray_cluster(executor if "://" in executor else "", workers) as cluster:
-        yield cluster
+    return EXECUTORS.get(executor.partition("://")[0])(executor if "://" in executor else "", workers)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from h3data.commands.arguments import result_of
 from h3data.commands.command import (
     ForceFlag,
     JsonFlag,
@@ -22,7 +23,9 @@ from h3data.commands.command import (
     PeopleOption,
     StandInsFlag,
     claim_file,
+    missing_lines,
     open_episode,
+    recording_stem,
 )
 from h3data.commands.options import command_of
 from h3data.errors import InputError
@@ -31,13 +34,10 @@ from h3data.recording import Recording
 from h3data.recording.storage import RemotePath, place
 from h3data.render.light.sources import LightMode
 from h3data.replay import Replay
-from h3data_pipelines.arguments import result_of
-from h3data_pipelines.jobs.imports import recording_stem
-from h3data_pipelines.pictures.rerender import missing_lines
 
 if TYPE_CHECKING:
     from h3data.bodies.people.rigid_parts import PeopleStyle
-    from h3data_pipelines.arguments import FilePath, Paths
+    from h3data.commands.arguments import FilePath, Paths
     from h3data_viewers import ShownRecording
 
 
