@@ -1,5 +1,6 @@
 """Stand-ins for the assets of a foreign recording that can be looked at: built-in robots and people in the recorded postures,
-and plain boxes with names on them for the rest. `h3data.habitat.placeholders` has the marked ones, which are the default.
+and plain boxes with names on them for the rest. The marked ones, which are the default, are in
+`h3data.recording.assets.placeholders`.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from h3data.geometry import (
     quat_rotate,
     quat_sign_continuous,
 )
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.hitl.hitl_agents import SYNTHETIC_BODY, fitting_body, floor_below
 from h3data.habitat.hitl.walk_synthesis import walk_columns
-from h3data.habitat.placeholders import PlaceholderKind, placeholder_kind, placeholder_mesh
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.primitives import box_mesh
+from h3data.recording.assets.library import AssetLibrary
+from h3data.recording.assets.placeholders import PlaceholderKind, placeholder_kind, placeholder_mesh
 from h3data.recording.records import Agent, Body, Recording
 
 BOX_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {
