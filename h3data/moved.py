@@ -10,6 +10,11 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.habitat.asset_folders": "h3data.recording.assets.folders",
+    "h3data.habitat.asset_library": "h3data.recording.assets.library",
+    "h3data.habitat.placeholders": "h3data.recording.assets.placeholders",
+    "h3data.habitat.scenes.object_handles": "h3data.recording.assets.handles",
+    "h3data.habitat.skinned_meshes": "h3data.recording.assets.skinned_meshes",
     "h3data.habitat.scene_names": "h3data.scene.open",
     "h3data_pipelines.command": "h3data.commands.command",
     "h3data_pipelines.commands.playing": "h3data_play.commands.playing",

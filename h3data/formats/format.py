@@ -38,7 +38,7 @@ class Format:
     `h3data.recording.Recording`."""
     read_options: tuple[Literal["fps", "assets"], ...] = ()
     """Keyword arguments that ``read`` takes: ``fps``, steps per second of files without times; ``assets``, an
-    `h3data.habitat.asset_library.AssetLibrary`."""
+    `h3data.recording.assets.library.AssetLibrary`."""
 
     write: Function = None
     """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an

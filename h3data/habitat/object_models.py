@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError, SceneError
 from h3data.geometry import heading_from_quat, quat_from_heading
-from h3data.habitat.asset_folders import CONFIG_ENDING
 from h3data.habitat.scenes.collision_geometry import hull_shape
 from h3data.habitat.scenes.config_keys import KeyNotes
 from h3data.habitat.scenes.config_values import number
@@ -25,6 +24,7 @@ from h3data.habitat.scenes.referenced_files import ReferencedFiles
 from h3data.habitat.scenes.scene_dataset import Template
 from h3data.habitat.scenes.templates import TemplateReader
 from h3data.mesh.loading import is_file, load_mesh
+from h3data.recording.assets.folders import CONFIG_ENDING
 from h3data.scene.kinds import KINDS, Grasp, grasp_point_in
 from h3data.scene.records import Asset, Instance, Scene, instance_matrix
 

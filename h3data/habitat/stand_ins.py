@@ -1,7 +1,7 @@
 """Stand-ins for missing assets of an imported recording that look like what they replace.
 
 They are built-in robots and people in the recorded postures, and plain boxes with names on them for the rest.
-`h3data.habitat.placeholders` has the marked ones, which are the default.
+`h3data.recording.assets.placeholders` has the marked ones, which are the default.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from h3data.geometry import (
     quat_rotate,
     quat_sign_continuous,
 )
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.hitl.hitl_agents import SYNTHETIC_BODY, fitting_body, floor_below
 from h3data.habitat.hitl.walk_synthesis import walk_columns
-from h3data.habitat.placeholders import PlaceholderKind, placeholder_kind, placeholder_mesh
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.primitives import box_mesh
+from h3data.recording.assets.library import AssetLibrary
+from h3data.recording.assets.placeholders import PlaceholderKind, placeholder_kind, placeholder_mesh
 from h3data.recording.records import Agent, Body, Recording
 
 BOX_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {

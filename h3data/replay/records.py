@@ -15,7 +15,7 @@ from h3data.render.camera import Camera
 from h3data.scene import Mesh
 
 if TYPE_CHECKING:
-    from h3data.habitat.skinned_meshes import SkinnedMesh
+    from h3data.recording.assets.skinned_meshes import SkinnedMesh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

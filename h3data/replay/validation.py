@@ -21,8 +21,8 @@ from shapely import intersects, linestrings, union_all
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.foot_planting import LEG_JOINTS, runs, sole_points
 from h3data.errors import H3DataError
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording, state_hash
+from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import JOINTS
 from h3data.replay.posed_recording import PosedRecording
 from h3data.scene import FreeSpace, Scene, load_scene

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast
 
 import msgspec
 
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, SceneError
 from h3data.plugins import Registry
 
 if TYPE_CHECKING:
+    from h3data.mesh.mesh import Mesh
     from h3data.scene.records import Scene
 
 
@@ -94,6 +95,8 @@ class SceneReader:
     """What `h3data.open` gives for such a file."""
     scenes_in: Callable[[Path], Sequence[str]] = lambda _: ()
     """Names of the scenes in such a file."""
+    object_mesh: Callable[[str, Path, Sequence[Path]], Mesh] | None = None
+    """The mesh of an object template: `object_mesh`."""
 
 
 def _check(entry: Any) -> None:
@@ -149,6 +152,23 @@ def recorded_spec(source: Mapping[str, Any]) -> SceneSpec | None:
     if generator is None:
         return None
     return generator.Spec(**{name: value for name, value in source.items() if name != "kind"})
+
+
+def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
+    """The mesh of the object template ``name``, in the frame of the object's logged poses: around its centre of mass [m].
+
+    Args:
+        name: The template's name.
+        file: Its config or mesh.
+        roots: Folders below which the files are that a config names.
+
+    Raises:
+        SceneError: the template cannot be used, or no installed package reads such files.
+    """
+    reader = reader_of(str(file))
+    if reader is None or reader.object_mesh is None:
+        raise SceneError(f"No installed package reads the object template {name!r}: {file}{missing_packages()}")
+    return reader.object_mesh(name, file, roots)
 
 
 def missing_packages() -> str:

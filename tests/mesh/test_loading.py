@@ -11,11 +11,11 @@ import pytest
 import trimesh
 
 from h3data.errors import MissingAssetError, SceneError
-from h3data.habitat.placeholders import placeholder_mesh, striped_box
 from h3data.mesh.gltf_primitives import nearest_texels
 from h3data.mesh.loading import frame_rotation, load_mesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import box_mesh, capsule_mesh, is_primitive, primitive_mesh
+from h3data.recording.assets.placeholders import placeholder_mesh, striped_box
 from h3data.srgb import linear_to_srgb, srgb_to_linear
 from tests.paths import TEST_ASSETS
 

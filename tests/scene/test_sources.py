@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 import h3data
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, SceneError
 from h3data.scene import HomeSpec, build_home, save_scene, scene_digest
 from h3data.scene.open import named_scenes, open_scene
 from h3data.scene.scene_sets import read_scene_set
-from h3data.scene.sources import SCENES, SceneFile, recorded_spec
+from h3data.scene.sources import SCENES, SceneFile, object_mesh, recorded_spec
 
 LIFTED = """
 from dataclasses import dataclass
@@ -86,6 +86,10 @@ def test_our_own_file_needs_no_reader_and_the_missing_package_is_named(
     assert named_scenes(str(tmp_path / "home.glb"))[0].source == SceneFile(path=str(tmp_path / "home.glb"))
     with pytest.raises(FormatError, match=r"Expected a scene.* lacks .*\(habitat\)"):
         open_scene(SceneFile(path=str(tmp_path / "a.stage_config.json")))
+    with pytest.raises(
+        SceneError, match=r"No installed package reads the object template 'chair'.* lacks .*\(habitat\)"
+    ):
+        object_mesh("chair", tmp_path / "chair.object_config.json", ())
     with pytest.raises(InputError, match=r"Unknown scenes 'small:1'.* lacks .*\(home\)"):
         named_scenes("small:1")
     with pytest.raises(InputError, match="The kind of scenes 'home' needs the package"):

@@ -21,8 +21,8 @@ from h3data.formats.source_file import decode_json
 from h3data.geometry import quat_sign_continuous
 from h3data.habitat.hitl.hitl_agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
 from h3data.habitat.hitl.hitl_scenes import Place
-from h3data.habitat.scenes.object_handles import HANDLE, template_of
 from h3data.limits import check_size
+from h3data.recording.assets.handles import HANDLE, template_of
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]

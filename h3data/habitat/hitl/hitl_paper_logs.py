@@ -16,7 +16,6 @@ from h3data.bodies.motion.habitat_humanoid import BASE_HEIGHT_M, HABITAT_JOINTS
 from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.geometry import Array, ground_pose
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.hitl.hitl_agents import AgentTrack, JointOrder, robot_named_in, tilt_rad
 from h3data.habitat.hitl.hitl_episode import (
     MAX_FLOAT,
@@ -34,6 +33,7 @@ from h3data.habitat.hitl.hitl_outcomes import AT_GOAL_M, at_goal, logged_outcome
 from h3data.habitat.hitl.hitl_pickled_logs import json_of_pickled_log
 from h3data.habitat.hitl.hitl_scenes import find_place
 from h3data.limits import MAX_TRACK_VALUES, check_size
+from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
 from h3data.safe_pickle import is_pickle
 

@@ -9,10 +9,10 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from h3data.errors import H3DataError
-from h3data.habitat.asset_folders import clean_path
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.scene_files import find_scene_file
 from h3data.habitat.scenes.scene_instance import load_habitat_scene
+from h3data.recording.assets.folders import clean_path
+from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import AssetRef, Body
 from h3data.scene.scene_file import scene_bytes
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.geometry import normalized, pose_from_matrix, quat_rotate, quat_sign_continuous
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.episodes.partnr import partnr_result
 from h3data.habitat.hitl.hitl_agents import AgentTrack, agent_kinds, robot_named_in
 from h3data.habitat.hitl.hitl_episode import (
@@ -34,6 +33,7 @@ from h3data.habitat.hitl.hitl_outcomes import logged_outcomes, max_steps
 from h3data.habitat.hitl.hitl_scenes import find_place
 from h3data.habitat.hitl.hitl_users import participation, without_user_ids
 from h3data.limits import MAX_TRACK_VALUES, check_size
+from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import STEP_NS, Event, Recording
 
 Order = Literal["xyzw", "wxyz"]

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from h3data.errors import SceneError
-from h3data.habitat.asset_folders import AssetFolders
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.mesh.loading import is_file
+from h3data.recording.assets.folders import AssetFolders
 
 _LEVELS = 4
 """How far above a config its dataset's config is looked for."""

@@ -110,7 +110,7 @@ class Validate:
 
 def validate_part(command: Validate, part: EpisodePart) -> list[dict[str, Any]]:
     """The rows of a part."""
-    from h3data.habitat.asset_library import AssetLibrary
+    from h3data.recording.assets.library import AssetLibrary
 
     library = AssetLibrary(command.assets)
     sources = part.sources()

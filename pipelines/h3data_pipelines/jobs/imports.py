@@ -10,10 +10,10 @@ from typing import Any, Literal
 from h3data.commands.command import claim_file, keeping, recording_stem
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
-from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.hitl.session_manifest import SessionManifest, read_manifest
 from h3data.progress import progress
 from h3data.recording import Recording
+from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import Replay
 from h3data.terminal import counted
 

@@ -3,16 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from h3data.errors import SceneError
-
-if TYPE_CHECKING:
-    from h3data.mesh.mesh import Mesh
 
 HANDLE = "handle:"
 """Begins the uri of an asset that is known by its template's name only."""
@@ -41,27 +34,3 @@ def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path])
         if distinct:
             return distinct[0]
     return None
-
-
-def template_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
-    """The mesh of an object template, in the frame of the object's logged poses: around its centre of mass [m].
-
-    Habitat puts that at the config's ``COM``, else in the middle of the mesh's box (spec/habitat.md 6.1).
-
-    Raises:
-        SceneError: the template cannot be used.
-    """
-    from h3data.habitat.scenes.config_keys import KeyNotes
-    from h3data.habitat.scenes.referenced_files import ReferencedFiles
-    from h3data.habitat.scenes.scene_dataset import Template
-    from h3data.habitat.scenes.templates import TemplateReader
-
-    files = ReferencedFiles(file, roots)
-    reader = TemplateReader(files=files, keys=KeyNotes())
-    rigid = reader.rigid(Template(handle=name, path=file))
-    if rigid is None:
-        why = [*reader.warnings, *(f"{missing!r} was not found" for missing in files.missing)]
-        raise SceneError(f"The object template {name!r} cannot be used: {'; '.join(why) or 'it is jointed'}: {file}")
-    mesh = reader.assets[rigid.asset].mesh
-    placed = mesh.vertices * rigid.scale - rigid.origin(rigid.scale)
-    return replace(mesh, vertices=placed.astype(np.float32))

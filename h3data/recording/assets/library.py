@@ -8,16 +8,17 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from h3data.errors import SceneError
-from h3data.habitat.asset_folders import CONFIG_ENDING, AssetFolders, clean_path
-from h3data.habitat.placeholders import placeholder_mesh
-from h3data.habitat.scenes.object_handles import HANDLE, file_of_template, template_mesh
-from h3data.habitat.skinned_meshes import SkinnedMesh, load_skinned_mesh
 from h3data.mesh.loading import is_file, load_mesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import painted
 from h3data.mesh.primitives import box_mesh, is_primitive, primitive_mesh
+from h3data.recording.assets.folders import CONFIG_ENDING, AssetFolders, clean_path
+from h3data.recording.assets.handles import HANDLE, file_of_template
+from h3data.recording.assets.placeholders import placeholder_mesh
+from h3data.recording.assets.skinned_meshes import SkinnedMesh, load_skinned_mesh
 from h3data.recording.records import AssetRef, Body
 from h3data.scene.records import Scene
+from h3data.scene.sources import object_mesh
 
 _log = logging.getLogger(__name__)
 
@@ -134,7 +135,7 @@ class AssetLibrary:
         configs, meshes = (self.folders.named(name + ending) for ending in (CONFIG_ENDING, ".glb"))
         try:
             file = file_of_template(name, configs, meshes)
-            return self._note_missing(uri) if file is None else template_mesh(name, file, self.roots)
+            return self._note_missing(uri) if file is None else object_mesh(name, file, self.roots)
         except SceneError as fault:
             return self._note_unreadable(uri, str(fault))
 
