@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise, product
 from typing import Protocol
 
@@ -67,6 +67,10 @@ class _Request:
     """It leads to a refuge, at which the agent stays for so long at most; 0: it does not."""
     stayed: int = 0
     """Steps since it got there."""
+    chose_at: tuple[float, float, float] | None = None
+    """Where the other, who is driven from outside, stood when the agent last chose anew what to do."""
+    seen: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
+    """Where they were [2] at the last look."""
 
 
 class RightOfWay:
@@ -107,7 +111,9 @@ class RightOfWay:
             if number in self._requests:
                 _drop_reached(walker, self._requests[number])
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
-            del self._requests[number]
+            request = self._requests.pop(number)
+            if request.chose_at is not None and self._stand_offs is not None:
+                self._stand_offs.of(number, request.by).steps = 0  # time to get past
         if self._stand_offs is not None:
             for pair in self._stand_offs.update(self._is_held_off):
                 self._part(self._stand_offs, pair, carrying)
@@ -254,16 +260,20 @@ class RightOfWay:
             me, other = self._walkers[number], self._walkers[sum(pair) - number]
             if not me.yields or not errands[number].obeys:
                 continue
-            route = self._refuge(me, other)
+            driven = not errands[other.number].obeys
+            waits = driven and not encounter.waited and math.dist(me.xz, other.xz) >= aside_distance_m(me, other)
+            route = np.zeros((0, 2)) if waits else self._refuge(me, other)
             if route is None:
                 continue
-            # the other has to go on now: if both were aside, they would meet again on their way back
-            self._requests.pop(other.number, None)
-            stays = AVOIDANCE.refuge_steps if errands[other.number].obeys else math.inf
-            me.turned_away = not errands[other.number].obeys
-            self._requests[number] = _Request(other.number, route, stays_steps=stays)
+            lets_out = self._requests.get(other.number)
+            if lets_out is not None and lets_out.by != number:
+                del self._requests[other.number]
+            stays = AVOIDANCE.waits_steps if waits else math.inf if driven else AVOIDANCE.refuge_steps
+            me.turned_away, where = driven, self._place[other.number] if driven else None
+            seen = other.xz.copy()
+            self._requests[number] = _Request(other.number, route, stays_steps=stays, chose_at=where, seen=seen)
             self._stalled[number] = self._stalled[other.number] = encounter.steps = 0
-            encounter.rounds += 1
+            encounter.rounds, encounter.waited = encounter.rounds + 1, driven
             return
 
     def _goes_to_refuge(self, number: int, other: int) -> bool:
@@ -312,11 +322,26 @@ class RightOfWay:
         other = self._walkers[request.by]
         obeys = self._stand_offs is None or self._stand_offs.errand(other.number).obeys
         if not obeys and request.steps % AVOIDANCE.looks_steps == 0:
-            clear = math.dist(walker.xz, other.xz) >= aside_distance_m(walker, other)  # beside it every way seems open
-            if clear and self._gets_around(walker, other, AVOIDANCE.passing_m[0]):
+            apart, was = math.dist(walker.xz, other.xz), math.dist(walker.xz, request.seen)
+            clear = apart >= aside_distance_m(walker, other)  # beside it every way seems open
+            request.seen = other.xz.copy()
+            if (
+                clear
+                and apart > was - AVOIDANCE.progress_m
+                and self._gets_around(walker, other, AVOIDANCE.passing_m[0])
+            ):
                 return True
-            stopped = self._still[other.number] - AVOIDANCE.held_up_steps
-            walker.turned_away |= 0 < stopped <= AVOIDANCE.looks_steps  # once where the other stops anew
+            if apart < was - AVOIDANCE.progress_m and math.isfinite(request.stays_steps):
+                return True  # who comes on is not waited for
+            if apart > was + AVOIDANCE.progress_m and apart >= AVOIDANCE.refuge_m:
+                return True  # follow who leaves
+            stops = (
+                self._still[other.number] > AVOIDANCE.held_up_steps and self._place[other.number] != request.chose_at
+            )
+            if stops and not len(
+                request.route
+            ):  # who is on their way there would stop at every stop of who comes after
+                walker.turned_away, request.chose_at = True, self._place[other.number]
         if len(request.route):
             return self._stalled[walker.number] > 2 * AVOIDANCE.gives_up_steps
         request.stayed += 1

@@ -35,6 +35,8 @@ class Encounter:
     """Number of steps for which neither agent has made progress while they were near each other."""
     rounds: int = 0
     """Number of times that one of them was sent away since the last progress."""
+    waited: bool = False
+    """Whether one of them has waited for the other, who is driven from outside."""
     completed: tuple[int, ...] = ()
     legs: dict[int, tuple[Hashable, float]] = field(default_factory=dict)
     """What each was about, and how far it had to go when that began or they met."""
@@ -61,14 +63,14 @@ class StandOffs:
         for pair, encounter in self._encounters.items():
             (x, z), (other_x, other_z) = (self._walkers[number].xz.tolist() for number in pair)
             if math.hypot(other_x - x, other_z - z) > AVOIDANCE.stand_off_m:
-                encounter.steps = 0
+                encounter.steps, encounter.waited = 0, False
                 encounter.legs.clear()
                 continue
             encounter.steps += 1
             # asked only of those who are near: an errand is put together anew each time
             errands = {number: self.errand(number) for number in pair}
             if self._gets_on(encounter, errands):
-                encounter.steps = encounter.rounds = 0
+                encounter.steps, encounter.rounds, encounter.waited = 0, 0, False
                 continue
             driven = [number for number, errand in errands.items() if not errand.obeys]
             long = encounter.steps > AVOIDANCE.stand_off_steps[len(driven) > 0]
