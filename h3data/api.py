@@ -53,10 +53,10 @@ def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
         FormatError: a file is something else; the message says what it is and what to do with it.
     """
     if not isinstance(path, str | os.PathLike):
-        raise InputError(f"Expected a path, URI or name, got {path!r:.60}.")
+        raise InputError(f"Expected a path, URI or name, got {path!r:.60}.", code="H3-FILE-001")
     opened = _open(os.fspath(path))
     if kind is not None and not isinstance(opened, kind):
-        raise InputError(f"Expected a {kind.__name__}, this is a {type(opened).__name__}: {path}")
+        raise InputError(f"Expected a {kind.__name__}, this is a {type(opened).__name__}: {path}", code="H3-FILE-002")
     return opened
 
 
@@ -84,7 +84,7 @@ def _open(path: str) -> Any:
     if is_builtin_name(path):
         first, *more = named_scenes(path)
         if more:
-            raise InputError(f"{path} names several scenes. Expected one, such as {first.name}.")
+            raise InputError(f"{path} names several scenes. Expected one, such as {first.name}.", code="H3-FILE-005")
         return open_scene(first.source)
     scene = open_scene_path(path)
     if scene is not None:
@@ -102,7 +102,7 @@ def _below(paths: list[str], named: str) -> Episodes:
     from h3data.recording.finding import find_episodes
 
     if not paths:
-        raise InputError(f"No file has such a name. Expected recordings or datasets: {named}")
+        raise InputError(f"No file has such a name. Expected recordings or datasets: {named}", code="H3-FILE-003")
     return Episodes(find_episodes(paths))
 
 
@@ -132,7 +132,7 @@ def measure(recordings: Any, profile: str | None = None) -> EpisodeMetrics | Met
     if isinstance(recordings, str | os.PathLike):
         return metrics.measure_files([recordings], profile)
     if not isinstance(recordings, Iterable):
-        raise InputError(f"Expected recordings, a dataset or a path, got {recordings!r:.60}.")
+        raise InputError(f"Expected recordings, a dataset or a path, got {recordings!r:.60}.", code="H3-FILE-004")
     return metrics.measure_many(recordings, profile)
 
 

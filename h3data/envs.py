@@ -40,7 +40,9 @@ __all__ = ["IDS", "Options", "Stepper", "TaskEnv", "TaskParallelEnv", "TaskVecto
 try:
     import gymnasium
 except ImportError as error:
-    raise MissingExtraError("Environments need Gymnasium. Hint: pip install 'h3data[env]'") from error
+    raise MissingExtraError(
+        "Environments need Gymnasium. Hint: pip install 'h3data[env]'", code="H3-FILE-008"
+    ) from error
 
 IDS = {"h3data/SocialNav-v0": "social_nav", "h3data/Rearrange-v0": "rearrange", "h3data/Wander-v0": "wander"}
 """Name of the task by id."""

@@ -100,7 +100,10 @@ def part_file(
     """
     final = Path(path)
     if not final.parent.is_dir():
-        raise InputError(f"Cannot write here: the folder does not exist. Hint: create it first. Folder: {final.parent}")
+        raise InputError(
+            f"Cannot write here: the folder does not exist. Hint: create it first. Folder: {final.parent}",
+            code="H3-FILE-009",
+        )
     beside = final.absolute()
     part = beside.with_name(final.name + ".part")
     if shared:  # not `tempfile.mkstemp`, whose files only their owner can read

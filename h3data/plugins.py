@@ -58,7 +58,10 @@ def trust(*modules: str) -> None:
     """
     for module in modules:
         if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", module):
-            raise InputError(f"Expected the name of a module to trust, such as my_package.my_task, got {module!r}.")
+            raise InputError(
+                f"Expected the name of a module to trust, such as my_package.my_task, got {module!r}.",
+                code="H3-FILE-012",
+            )
     os.environ[TRUST_VARIABLE] = ",".join(dict.fromkeys([*_trusted(), *modules]))
 
 
@@ -222,7 +225,8 @@ class Registry(Generic[T]):
                     raise
         raise InputError(
             f"The {self.what} {name!r} needs the package {missing}, which this installation does not have. "
-            "Hint: install h3data as a whole."
+            "Hint: install h3data as a whole.",
+            code="H3-FILE-010",
         )
 
     def names(self) -> tuple[str, ...]:
@@ -250,21 +254,23 @@ class Registry(Generic[T]):
             return self._load_built_in(name)
         claims = self._third_party().get(name, [])
         if len(claims) > 1:
-            raise PluginError(self._conflict(name, claims))
+            raise PluginError(self._conflict(name, claims), code="H3-FILE-013")
         if claims:
             return self._load(claims[0])
         if REFERENCE.fullmatch(name):
             for entry in (one for claims in self._third_party().values() for one in claims if one.value == name):
                 return self._load(entry)  # installed, only named in full
             if _FROM_DATA.get() and not is_trusted(name):
-                raise UntrustedNameError(self._untrusted(name))
+                raise UntrustedNameError(self._untrusted(name), code="H3-FILE-014")
             if not _FROM_DATA.get():
                 trust(name.partition(":")[0])  # whoever names it runs it: files may name it too from now on
             if os.getcwd() not in sys.path:
                 sys.path.append(os.getcwd())  # only now, after everything that is installed: see h3data docs sharing
             return self._load(Plugin(name, name))
         known = self.names()
-        raise InputError(f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}")
+        raise InputError(
+            f"Unknown {self.what} {name!r}.{suggest(name, known, more='; or module:name')}", code="H3-FILE-011"
+        )
 
     def missing(self) -> dict[str, str]:
         """Packages that come with this one but are not there, by the name of the entry that each would add."""
@@ -321,13 +327,16 @@ class Registry(Generic[T]):
             by_reference = not entry.distribution and isinstance(fault, ModuleNotFoundError)
             hint = " Hint: the module must be installed or its folder on PYTHONPATH." if by_reference else ""
             raise PluginError(
-                f"The {self.what} {self._origin(entry)} cannot be imported: {type(fault).__name__}: {fault}.{hint}"
+                f"The {self.what} {self._origin(entry)} cannot be imported: {type(fault).__name__}: {fault}.{hint}",
+                code="H3-FILE-015",
             ) from fault
         if self._check is not None:
             try:
                 self._check(loaded)
             except InputError as fault:
-                raise PluginError(f"The {self.what} {self._origin(entry)} is not usable: {fault}") from fault
+                raise PluginError(
+                    f"The {self.what} {self._origin(entry)} is not usable: {fault}", code="H3-FILE-016"
+                ) from fault
         return loaded
 
     def _origin(self, entry: Plugin) -> str:

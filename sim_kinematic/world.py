@@ -128,7 +128,7 @@ class World:
             InputError: W is less than 1.
         """
         if isinstance(worlds, bool) or not isinstance(worlds, int | np.integer) or worlds < 1:
-            raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.")
+            raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.", code="H3-SIM-050")
         self.roster, self.worlds = tuple(roster), int(worlds)
         rules, self.walker = base or HOME_BASE, walker or WalkerSpec()
         self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
@@ -285,7 +285,9 @@ class World:
     # --- parts of a step ----------------------------------------------------------------------------------------------
     def _checked(self, commands: Sequence[Command]) -> list[Command]:
         if len(commands) != len(self.roster):
-            raise InputError(f"Expected one command for each of {len(self.roster)} agents, got {len(commands)}.")
+            raise InputError(
+                f"Expected one command for each of {len(self.roster)} agents, got {len(commands)}.", code="H3-SIM-051"
+            )
         checked: list[Command] = []
         for member, command, base in zip(self.roster, commands, self.bases, strict=True):
             if isinstance(command, RecordedPoseCommand | GaitCommand):
@@ -294,12 +296,15 @@ class World:
             values = np.asarray(command[0], np.float64)
             width = 3 if member.kind == "robot" and base.max_lateral_mps else 2
             if member.kind == "robot" and not isinstance(command, DriveCommand):
-                raise InputError(f"{member.name} drives: expected DriveCommand, got {type(command).__name__}.")
+                raise InputError(
+                    f"{member.name} drives: expected DriveCommand, got {type(command).__name__}.", code="H3-SIM-054"
+                )
             if values.shape != (self.worlds, width) or first_not_finite(values) >= 0:
                 infinite = "" if np.isfinite(values).all() else " with numbers that are not finite"
                 raise InputError(
                     f"Expected finite actions of {member.name}, shape {[self.worlds, width]}, got shape "
-                    f"{list(values.shape)}{infinite}."
+                    f"{list(values.shape)}{infinite}.",
+                    code="H3-SIM-053",
                 )
             checked.append(
                 PoseCommand(values, command.headings) if isinstance(command, PoseCommand) else type(command)(values)

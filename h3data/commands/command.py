@@ -129,20 +129,25 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
     if isinstance(folder, Path):
         local(folder)
         if folder.exists() and not folder.is_dir():
-            raise InputError(f"The output folder is a file. Choose another with -o: {folder}")
+            raise InputError(f"The output folder is a file. Choose another with -o: {folder}", code="H3-OPTION-008")
     if not force and (isinstance(folder, RemotePath) or folder.is_dir()) and any(folder.iterdir()):
         if held := unfinished():
             raise InputError(
                 f"The output folder holds {held}. --resume goes on with the same options, --force replaces it; or choose "
-                f"another -o: {folder}"
+                f"another -o: {folder}",
+                code="H3-OPTION-009",
             )
-        raise InputError(f"The output folder is not empty. Use --force to overwrite, or another -o: {folder}")
+        raise InputError(
+            f"The output folder is not empty. Use --force to overwrite, or another -o: {folder}", code="H3-OPTION-001"
+        )
     if isinstance(folder, RemotePath):
         return folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"Cannot create the output folder ({error.strerror}): {folder}") from None
+        raise InputError(
+            f"Cannot create the output folder ({error.strerror}): {folder}", code="H3-OPTION-010"
+        ) from None
     _try_writing(folder, folder)
     return folder
 
@@ -150,18 +155,22 @@ def claim_folder(folder: P, *, force: bool, unfinished: Callable[[], str] = str)
 def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
     """The path of an output file that ends in ``suffix``; an `InputError` if it exists, unless ``force``."""
     if suffix and path.suffix.lower() != suffix:
-        raise InputError(f"Expected a file name that ends in {suffix}, got: {path}")
+        raise InputError(f"Expected a file name that ends in {suffix}, got: {path}", code="H3-OPTION-002")
     if isinstance(path, Path):
         local(path)
     if path.is_dir():
-        raise InputError(f"Expected a file name, this is a folder: {path}")
+        raise InputError(f"Expected a file name, this is a folder: {path}", code="H3-OPTION-003")
     if path.exists() and not force:
-        raise InputError(f"The output file exists. Use --force to overwrite, or another -o: {path}")
+        raise InputError(
+            f"The output file exists. Use --force to overwrite, or another -o: {path}", code="H3-OPTION-004"
+        )
     try:
         if isinstance(path, Path):
             path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"Cannot create the folder of the output file ({error.strerror}): {path}") from None
+        raise InputError(
+            f"Cannot create the folder of the output file ({error.strerror}): {path}", code="H3-OPTION-011"
+        ) from None
     if isinstance(path, Path):
         _try_writing(path.parent, path)
     return path
@@ -173,7 +182,9 @@ def _try_writing(folder: Path, asked: Path) -> None:
         with NamedTemporaryFile(dir=folder, prefix=".h3data-"):
             pass
     except OSError as error:
-        raise InputError(f"Cannot write here ({error.strerror or error}). Choose another -o: {asked}") from None
+        raise InputError(
+            f"Cannot write here ({error.strerror or error}). Choose another -o: {asked}", code="H3-OPTION-012"
+        ) from None
 
 
 def open_episode(path: AnyPath) -> Recording:
@@ -183,7 +194,8 @@ def open_episode(path: AnyPath) -> Recording:
     opened = open_recording(path)
     if isinstance(opened, Dataset):
         raise InputError(
-            f"Expected a recording (.mcap), this is a dataset of {counted(len(opened), 'episode')}. Name one as {path}#0"
+            f"Expected a recording (.mcap), this is a dataset of {counted(len(opened), 'episode')}. Name one as {path}#0",
+            code="H3-OPTION-005",
         )
     return opened
 
@@ -239,13 +251,17 @@ def remove_dataset(root: AnyPath) -> None:
     if not root.exists() or (root.is_dir() and not any(root.iterdir())):
         return
     if not ((root / "h3" / "schema.json").is_file() or is_begun(root)):
-        raise InputError(f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}")
+        raise InputError(
+            f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}",
+            code="H3-OPTION-006",
+        )
     others = [p for p in root.iterdir() if p.name not in (*_PARTS_OF_DATASET, "README.md", "card.jpg")]
     others += [p for p in root.glob("mcap/*") if not re.fullmatch(r"\d{6,}\.mcap(\.part)?", p.name)]
     if others:
         raise InputError(
             f"--force would replace this dataset, but its folder holds {counted(len(others), 'other file')}. Move them away. "
-            f"The first: {min(others)}"
+            f"The first: {min(others)}",
+            code="H3-OPTION-007",
         )
     for name in _PARTS_OF_DATASET:  # meta first: without it, nothing is committed
         remove_tree(root / name)
@@ -264,7 +280,7 @@ def read_rules(texts: Iterable[str]) -> tuple[tuple[str, Any], ...]:
     for text in texts:
         name, sign, value = text.partition("=")
         if not sign or not name:
-            raise InputError(f"Expected --set NAME=VALUE, got {text!r}.")
+            raise InputError(f"Expected --set NAME=VALUE, got {text!r}.", code="H3-OPTION-075")
         with suppress(ValueError):
             value = json.loads(value)
         rules.append((name, value))

@@ -35,9 +35,11 @@ def check_workers(executor: str, workers: int | None) -> None:
     name = executor.partition("://")[0]
     if name not in ("local", "ray") or (name == "local" and executor != "local") or executor == "ray://":
         near = did_you_mean(name, ("local", "ray"))
-        raise InputError(f"--executor: expected local, ray or ray://HOST:PORT, got {executor!r}.{near}")
+        raise InputError(
+            f"--executor: expected local, ray or ray://HOST:PORT, got {executor!r}.{near}", code="H3-JOB-001"
+        )
     if workers is not None and workers < 1:
-        raise InputError(f"--workers must be at least 1, got {workers}.")
+        raise InputError(f"--workers must be at least 1, got {workers}.", code="H3-JOB-002")
 
 
 def opened(executor: str, workers: int) -> AbstractContextManager[Executor]:

@@ -242,7 +242,7 @@ def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
     strangers = [o for o in options if o.field in fields and o.tasks and task not in o.tasks]
     if strangers:
         listed = ", ".join(f"{option.flags[-1]} (of {' and '.join(option.tasks)})" for option in strangers)
-        raise InputError(f"These are no options of {task}: {listed}.")
+        raise InputError(f"These are no options of {task}: {listed}.", code="H3-OPTION-076")
 
 
 def read_value(option: Option, given: Any) -> Any:
@@ -284,13 +284,15 @@ def _one(option: Option, value: Any) -> Any:
     if get_origin(option.kind) is Literal:
         choices = get_args(option.kind)
         if value not in choices:
-            raise InputError(f"{option.field}: unknown {value!r}.{suggest(str(value), map(str, choices))}")
+            raise InputError(
+                f"{option.field}: unknown {value!r}.{suggest(str(value), map(str, choices))}", code="H3-OPTION-014"
+            )
         return value
     if option.kind is str and not isinstance(value, str):
         value = _name_of(value)
     types, expected = _PYTHON_TYPES[option.kind]
     if not isinstance(value, types) or (isinstance(value, bool) and option.kind is not bool):
-        raise InputError(f"{option.field}: expected {expected}, got {value!r:.100}.")
+        raise InputError(f"{option.field}: expected {expected}, got {value!r:.100}.", code="H3-OPTION-013")
     return Path(str(value)) if option.kind is Path else value
 
 

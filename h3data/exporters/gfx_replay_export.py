@@ -100,9 +100,11 @@ def write_gfx_replay(
     """
     path = Path(path)
     if not path.name.endswith((".json", ".json.gz")):
-        raise InputError(f"Expected a file that ends in .gfx_replay.json or .gfx_replay.json.gz, got: {path}")
+        raise InputError(
+            f"Expected a file that ends in .gfx_replay.json or .gfx_replay.json.gz, got: {path}", code="H3-EXPORT-009"
+        )
     if not len(recording):
-        raise InputError("A recording without steps has no keyframes to write.")
+        raise InputError("A recording without steps has no keyframes to write.", code="H3-EXPORT-010")
     folder = assets_folder(path)
     files = _Assets(folder)
     keyframes = _Keyframes(len(recording))
@@ -142,7 +144,8 @@ def export_gfx_replay(recordings: Iterable[Recording], request: ExportRequest) -
     )
     if has_own_meshes and not request.force and folder.is_dir() and any(folder.iterdir()):
         raise InputError(
-            f"The folder for assets is not empty. Use force=True to overwrite it, or another name: {folder}"
+            f"The folder for assets is not empty. Use force=True to overwrite it, or another name: {folder}",
+            code="H3-EXPORT-011",
         )
     replay = Replay(recording, assets=request.assets, people=request.people, detail=request.person_detail == "full")
     files = write_gfx_replay(recording, posed_parts(replay), request.out, cameras=posed_cameras(replay))

@@ -59,9 +59,9 @@ def write_gltf_animation(
     """
     path = Path(path)
     if path.suffix != ".glb":
-        raise InputError(f"Expected a file that ends in .glb, got: {path}")
+        raise InputError(f"Expected a file that ends in .glb, got: {path}", code="H3-EXPORT-012")
     if not len(recording):
-        raise InputError("A recording without steps has nothing to animate.")
+        raise InputError("A recording without steps has nothing to animate.", code="H3-EXPORT-013")
     times = recording.columns["time_ns"]
     writer = _Writer(((times - times[0]) * 1e-9).astype("<f4"))
     groups = {index: writer.group(agent.name) for index, agent in enumerate(recording.agents)}

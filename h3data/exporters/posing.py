@@ -135,7 +135,10 @@ def _skeleton_of_rig(
     skin: SkinnedMesh = track.skin
     size = float(scale[0]) * float(np.cbrt(np.linalg.det(skin.to_metres[:3, :3])))
     if not np.allclose(scale, scale[0]):
-        raise SceneError(f"A skinned body with a scale that is not uniform cannot be exported: {track.body.name!r}.")
+        raise SceneError(
+            f"A skinned body with a scale that is not uniform cannot be exported: {track.body.name!r}.",
+            code="H3-EXPORT-030",
+        )
     frame = skin.to_metres.copy()
     frame[:3, :3] /= size / float(scale[0])
     rigid = np.broadcast_to(pose_to_matrix(roots), (len(steps), 4, 4))

@@ -39,7 +39,10 @@ def template_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
     rigid = reader.rigid(Template(handle=name, path=file))
     if rigid is None:
         why = [*reader.warnings, *(f"{missing!r} was not found" for missing in files.missing)]
-        raise SceneError(f"The object template {name!r} cannot be used: {'; '.join(why) or 'it is jointed'}: {file}")
+        raise SceneError(
+            f"The object template {name!r} cannot be used: {'; '.join(why) or 'it is jointed'}: {file}",
+            code="H3-HABITAT-115",
+        )
     mesh = reader.assets[rigid.asset].mesh
     placed = mesh.vertices * rigid.scale - rigid.origin(rigid.scale)
     return replace(mesh, vertices=placed.astype(np.float32))

@@ -131,11 +131,11 @@ def measure_sources(
                     yield each
                 else:
                     name, message, reason = each
-                    yield LeftOut(name=name, error=UnmeasurableError(message, reason))
+                    yield LeftOut(name=name, error=UnmeasurableError(message, reason, code="H3-METRIC-003"))
         return
     count = workers if workers is not None else len(os.sched_getaffinity(0))
     if count < 1:
-        raise InputError(f"Expected at least one worker, got {count}.")
+        raise InputError(f"Expected at least one worker, got {count}.", code="H3-METRIC-001")
     yield from _in_order(_jobs(sources, profile), workers=count)
 
 
@@ -207,7 +207,7 @@ def _measured(
 ) -> tuple[list[EpisodeMetrics], list[LeftOut]]:
     sources = list(find_sources(paths))
     if not sources:
-        raise InputError("Expected at least one recording (.mcap) or dataset.")
+        raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")
     measured = measure_sources(sources, profile, workers=workers, spread=spread)
     results = list(progress(measured, desc="measure", unit="episode", delay=1.0, leave=False))
     left_out = [result for result in results if isinstance(result, LeftOut)]

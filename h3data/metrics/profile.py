@@ -83,13 +83,17 @@ class Profile:
         alone = self.compute is None and self.compute_many is None
         without = [m.name for m in self.metrics if alone and m.value is None]
         if not self.metrics:
-            raise InputError(f"Profile {self.name!r} has no metrics.")
+            raise InputError(f"Profile {self.name!r} has no metrics.", code="H3-METRIC-019")
         if wrong:
-            raise InputError(f"Expected ids that begin with {self.name}/ in profile {self.name!r}, got {wrong[0]!r}.")
+            raise InputError(
+                f"Expected ids that begin with {self.name}/ in profile {self.name!r}, got {wrong[0]!r}.",
+                code="H3-METRIC-020",
+            )
         if without:
             raise InputError(
                 f"Profile {self.name!r} has no function for {', '.join(without)}: give each metric a value=, "
-                "or the profile a compute= or compute_many=."
+                "or the profile a compute= or compute_many=.",
+                code="H3-METRIC-021",
             )
 
     def measures(self, task: str) -> bool:

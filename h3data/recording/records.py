@@ -196,7 +196,9 @@ class Columns(dict[str, NDArray[Any]]):
     """Columns by name. The `KeyError` of an unknown one says what was meant."""
 
     def __missing__(self, name: object) -> NDArray[Any]:
-        raise UnknownColumnError(f"No column {name!r} in this recording.{suggest(str(name), self, lead='It has')}")
+        raise UnknownColumnError(
+            f"No column {name!r} in this recording.{suggest(str(name), self, lead='It has')}", code="H3-RECORDING-106"
+        )
 
 
 class UnknownColumnError(InputError, KeyError):
@@ -225,7 +227,8 @@ class Recording:
         faults = _faults(self)
         if faults:
             raise FormatError(
-                f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + "."
+                f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + ".",
+                code="H3-RECORDING-107",
             )
         if type(self.columns) is dict:
             object.__setattr__(self, "columns", Columns(self.columns))

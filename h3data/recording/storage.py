@@ -214,13 +214,16 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
         return Path(path)
     scheme, rest = match["scheme"].lower(), match["rest"]
     if scheme not in SCHEMES:
-        raise InputError(f"Expected a path or a URI of {', '.join(SCHEMES)}, got {scheme}://: {masked(text)}")
+        raise InputError(
+            f"Expected a path or a URI of {', '.join(SCHEMES)}, got {scheme}://: {masked(text)}",
+            code="H3-RECORDING-118",
+        )
     if scheme == "file":
         return Path("/" + rest.lstrip("/"))
     key, _, query = rest.partition("?")
     key = key.strip("/")
     if not key:
-        raise InputError(f"A URI needs a bucket or folder: {masked(text)}")
+        raise InputError(f"A URI needs a bucket or folder: {masked(text)}", code="H3-RECORDING-119")
     return RemotePath(scheme, key, query)
 
 
@@ -232,7 +235,10 @@ def local(path: str | os.PathLike[str] | RemotePath) -> Path:
     """
     at = place(path)
     if isinstance(at, RemotePath):
-        raise InputError(f"This can only be written locally; only datasets and .mcap files go to a URI: {at}")
+        raise InputError(
+            f"This can only be written locally; only datasets and .mcap files go to a URI: {at}",
+            code="H3-RECORDING-120",
+        )
     return at
 
 
@@ -297,13 +303,17 @@ def _allowed(to: str, path: RemotePath) -> Iterator[None]:
         if _DENIED.search(text):
             raise InputError(
                 f"Access denied: no right to {to} {path}. Expected credentials that may list, read, write and delete there: "
-                "check them (AWS_PROFILE or AWS_ACCESS_KEY_ID for s3://), or choose another place."
+                "check them (AWS_PROFILE or AWS_ACCESS_KEY_ID for s3://), or choose another place.",
+                code="H3-RECORDING-122",
             ) from error
         if "NO_SUCH_BUCKET" in text:
-            raise InputError(f"There is no bucket {bucket}. Make it, or choose another place: {path}") from error
+            raise InputError(
+                f"There is no bucket {bucket}. Make it, or choose another place: {path}", code="H3-RECORDING-123"
+            ) from error
         if "NETWORK_CONNECTION" in text:
             raise InputError(
-                f"The store does not answer. Check the network and the endpoint (AWS_ENDPOINT_URL for s3://): {path}"
+                f"The store does not answer. Check the network and the endpoint (AWS_ENDPOINT_URL for s3://): {path}",
+                code="H3-RECORDING-124",
             ) from error
         raise
 
@@ -316,4 +326,4 @@ def _filesystem(scheme: str, authority: str, query: str) -> tuple[Any, str]:
         # kept per bucket by the cache: a new client would look up credentials and connect again for every file
         return pafs.FileSystem.from_uri(uri)
     except (pa.ArrowException, OSError) as error:
-        raise InputError(masked(f"The storage cannot be opened ({error}): {uri}")) from None
+        raise InputError(masked(f"The storage cannot be opened ({error}): {uri}"), code="H3-RECORDING-121") from None

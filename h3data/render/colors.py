@@ -39,7 +39,7 @@ def instance_to_rgb(ids: ArrayLike) -> NDArray[np.uint8]:
     """Distinct colours [..., 3] for ids [...]: equal ids always get equal colours; negative ids get `MISS_COLOR`."""
     i = np.ascontiguousarray(ids)
     if i.dtype.kind not in "iu":
-        raise InputError(f"Ids must be integers, got {i.dtype}.")
+        raise InputError(f"Ids must be integers, got {i.dtype}.", code="H3-RENDER-010")
     out = np.empty((*np.shape(ids), 3), np.uint8)
     _paint_ids(i.ravel(), _palette(), out.reshape(-1, 3))
     return out
@@ -88,4 +88,4 @@ def _palette() -> NDArray[np.uint8]:
 
 def _check_range(near: float, far: float) -> None:
     if not (np.isfinite(near) and np.isfinite(far) and near < far):
-        raise InputError(f"Expected a depth range with near < far, got {near!r} and {far!r}.")
+        raise InputError(f"Expected a depth range with near < far, got {near!r} and {far!r}.", code="H3-RENDER-011")

@@ -253,7 +253,10 @@ def lidar(
     """
     matrix, elevation = np.asarray(pose, np.float64), np.radians(np.atleast_1d(np.asarray(elevations_deg, np.float64)))
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or columns < 1:
-        raise InputError(f"A lidar needs a finite 4x4 pose and at least one column, got {matrix.tolist()}, {columns}.")
+        raise InputError(
+            f"A lidar needs a finite 4x4 pose and at least one column, got {matrix.tolist()}, {columns}.",
+            code="H3-RENDER-051",
+        )
     angle = np.arange(columns) * (2 * np.pi / columns)
     flat = np.cos(elevation)[:, None]
     up = np.broadcast_to(np.sin(elevation)[:, None], (len(elevation), columns))
@@ -270,7 +273,8 @@ def _rays(
     o, d = np.broadcast_arrays(np.asarray(origins, np.float64), np.asarray(directions, np.float64))
     if o.ndim == 0 or o.shape[-1] != 3:
         raise InputError(
-            f"Expected rays [..., 3], got origins {list(np.shape(origins))}, directions {list(np.shape(directions))}."
+            f"Expected rays [..., 3], got origins {list(np.shape(origins))}, directions {list(np.shape(directions))}.",
+            code="H3-RENDER-052",
         )
     shape = o.shape[:-1]
     limit = np.broadcast_to(np.asarray(max_m, np.float64), shape).reshape(-1)
@@ -302,6 +306,7 @@ def _embree() -> Any:
     except ImportError as error:
         raise MissingExtraError(
             "Fisheye and equirectangular depth, lidar, line of sight and shadows need Embree. "
-            "Hint: pip install 'h3data[rays]'"
+            "Hint: pip install 'h3data[rays]'",
+            code="H3-RENDER-053",
         ) from error
     return embreex

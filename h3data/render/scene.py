@@ -231,4 +231,4 @@ def _check(
     ]
     if faults:
         more = f" and {len(faults) - 5} more faults" if len(faults) > 5 else ""
-        raise InputError("The scene cannot be rendered: " + "; ".join(faults[:5]) + more + ".")
+        raise InputError("The scene cannot be rendered: " + "; ".join(faults[:5]) + more + ".", code="H3-RENDER-067")

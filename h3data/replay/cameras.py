@@ -56,7 +56,8 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     if mounted is None:
         raise InputError(
             f"Unknown camera {name_or_file!r}."
-            f"{suggest(name_or_file, names, lead='This recording offers', more='; or give a .toml or .json file')}"
+            f"{suggest(name_or_file, names, lead='This recording offers', more='; or give a .toml or .json file')}",
+            code="H3-REPLAY-017",
         )
     return mounted
 

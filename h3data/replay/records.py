@@ -123,6 +123,6 @@ def forward_fill(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     finite = np.isfinite(values).all(-1)
     if not finite.any():
-        raise InputError("This camera has no pose at any step.")
+        raise InputError("This camera has no pose at any step.", code="H3-REPLAY-029")
     last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
     return values[np.where(last < 0, np.argmax(finite), last)]

@@ -326,13 +326,16 @@ def chosen_backend(backend: FrameBackend) -> Literal["cpu", "gpu"]:
         InputError: there is no such back end, or ``gpu`` was requested without a GPU.
     """
     if backend not in get_args(FrameBackend):
-        raise InputError(f"Unknown back end {backend!r}. Available: {', '.join(get_args(FrameBackend))}.")
+        raise InputError(
+            f"Unknown back end {backend!r}. Available: {', '.join(get_args(FrameBackend))}.", code="H3-RENDER-054"
+        )
     if backend == "cpu":
         return "cpu"
     fault = gpu_fault()
     if fault and backend == "gpu":
         raise InputError(
-            f"There is no GPU to draw with: {fault}. Hint: cpu, or auto for a GPU only where there is one."
+            f"There is no GPU to draw with: {fault}. Hint: cpu, or auto for a GPU only where there is one.",
+            code="H3-REPLAY-030",
         )
     return "cpu" if fault else "gpu"
 

@@ -88,10 +88,11 @@ def episode_strip(replay: Replay) -> NDArray[np.uint8]:
     moments = moments_of(replay.recording)
     if not moments:
         raise InputError(
-            "Expected an episode in which something is picked or placed, or two agents cross: there is none."
+            "Expected an episode in which something is picked or placed, or two agents cross: there is none.",
+            code="H3-REPLAY-031",
         )
     if replay.scene is None:
-        raise InputError("A strip needs the scene, and this recording has none.")
+        raise InputError("A strip needs the scene, and this recording has none.", code="H3-REPLAY-032")
     plan, camera = _plan(replay)
     paths = [_positions(replay.recording, k) for k in range(len(replay.recording.agents))]
     panels = []

@@ -55,7 +55,7 @@ class SceneJoints:
         """
         if name not in self.names:
             some = f"It has: {', '.join(self.names[:12])}." if self.names else "Nothing in it opens."
-            raise InputError(f"The scene has no joint {name!r}. {some}")
+            raise InputError(f"The scene has no joint {name!r}. {some}", code="H3-SCENE-002")
         return self.names.index(name)
 
     def shares(self, positions: ArrayLike) -> NDArray[np.float64]:
@@ -157,10 +157,12 @@ def posed(scene: Scene, positions: ArrayLike | Mapping[str, float]) -> Scene:
     else:
         given = np.asarray(positions, np.float64)
         if given.shape != wanted.shape:
-            raise InputError(f"Expected the positions of {len(wanted)} joints, got shape {list(given.shape)}.")
+            raise InputError(
+                f"Expected the positions of {len(wanted)} joints, got shape {list(given.shape)}.", code="H3-SCENE-003"
+            )
         wanted = given
     if not np.isfinite(wanted).all():
-        raise InputError("Positions of joints must be finite.")
+        raise InputError("Positions of joints must be finite.", code="H3-SCENE-001")
     if np.array_equal(wanted, joints.rest):
         return scene
     motions = joints.motions(wanted)

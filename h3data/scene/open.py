@@ -76,7 +76,7 @@ def listed_scenes(text: str) -> tuple[NamedScene, ...]:
     seen: set[SceneSource] = set()
     for named in found:
         if named.source in seen:
-            raise InputError(f"Expected each scene once, got {named.name} again. Scenes: {text}")
+            raise InputError(f"Expected each scene once, got {named.name} again. Scenes: {text}", code="H3-HABITAT-109")
         seen.add(named.source)
     return found
 
@@ -155,7 +155,8 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
     near = near.replace("'?", f":{seed}'?") if seed else near
     if found is None and ("/" in label or label.endswith((".glb", ".json", ".urdf"))) and not Path(label).exists():
         raise InputError(
-            f"There is no such scene or set of scenes.{near} Hint: `h3data scenes list` shows the sets. Path: {text}"
+            f"There is no such scene or set of scenes.{near} Hint: `h3data scenes list` shows the sets. Path: {text}",
+            code="H3-HABITAT-107",
         )
     if found is None:
         raise InputError(
@@ -163,7 +164,8 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
             if near
             else f"Unknown scenes {text!r}. Expected homes (small), one of them (small:3), a set (h3-homes/test), one of its "
             "scenes (h3-homes/test#3), or the path of a scene or set. Hint: `h3data scenes list` shows all names."
-            f"{missing_packages()}"
+            f"{missing_packages()}",
+            code="H3-HABITAT-108",
         )
     every = [NamedScene(name=f"{label}#{k}", source=entry.source, id=entry.id) for k, entry in enumerate(found.scenes)]
     return (every[found.scenes.index(found.entry(which))],) if "#" in text else tuple(every)

@@ -88,7 +88,8 @@ class SceneSet:
                 return entry
         raise InputError(
             f"There is no scene {which!r} in {self.label}. It has {len(self.scenes)}: 0 to {len(self.scenes) - 1}, "
-            f"or by id: {_some(e.id for e in self.scenes)}."
+            f"or by id: {_some(e.id for e in self.scenes)}.",
+            code="H3-SCENE-056",
         )
 
 
@@ -122,7 +123,8 @@ def find_scene_set(text: str) -> SceneSet | None:
     if split not in splits:
         labels = [f"{name}/{s}" for s in splits]
         raise InputError(
-            f"Which split of {name}? Expected {' or '.join(labels)}, got {text!r}.{did_you_mean(text, labels)}"
+            f"Which split of {name}? Expected {' or '.join(labels)}, got {text!r}.{did_you_mean(text, labels)}",
+            code="H3-SCENE-057",
         )
     return read_scene_set(builtin_root() / name / f"{split}{SUFFIX}")
 
@@ -154,11 +156,13 @@ def read_scene_set(path: str | Path) -> SceneSet:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"Cannot read the scene set ({error.strerror or error}): {path}") from None
+        raise InputError(
+            f"Cannot read the scene set ({error.strerror or error}): {path}", code="H3-SCENE-062"
+        ) from None
     try:
         content = msgspec.toml.decode(data, type=_SetFile)
     except (msgspec.MsgspecError, UnicodeDecodeError) as fault:
-        raise FormatError(f"{_readable(fault, _SetFile)} Scene set: {path}") from None
+        raise FormatError(f"{_readable(fault, _SetFile)} Scene set: {path}", code="H3-SCENE-063") from None
     faults = list(_header_faults(content))
     scenes: list[SceneEntry] = []
     for k, record in enumerate(content.scenes):
@@ -173,7 +177,7 @@ def read_scene_set(path: str | Path) -> SceneSet:
     faults += [f"scenes: the id {i!r} occurs {ids.count(i)} times." for i in dict.fromkeys(ids) if ids.count(i) > 1]
     if faults:
         more = f" ... and {len(faults) - 5} more faults." if len(faults) > 5 else ""
-        raise FormatError(f"{' '.join(faults[:5])}{more} Scene set: {path}")
+        raise FormatError(f"{' '.join(faults[:5])}{more} Scene set: {path}", code="H3-SCENE-058")
     return SceneSet(
         name=content.name,
         split=content.split,
@@ -207,11 +211,12 @@ def _entry(record: dict[str, Any], folder: Path) -> SceneEntry:
     entry = msgspec.convert(record, _File)
     if ".." in PurePosixPath(entry.file).parts:
         raise InputError(
-            f"file: the path must not leave the folder of the set, got {entry.file!r}. Hint: use an absolute path."
+            f"file: the path must not leave the folder of the set, got {entry.file!r}. Hint: use an absolute path.",
+            code="H3-SCENE-059",
         )
     file = folder / entry.file
     if not file.is_file():
-        raise InputError(f"file: no such file: {entry.file!r}.")
+        raise InputError(f"file: no such file: {entry.file!r}.", code="H3-SCENE-060")
     return SceneEntry(id=_checked_id(entry.id), source=SceneFile(path=str(file), scene=entry.scene))
 
 
@@ -224,13 +229,15 @@ def _generator(record: Mapping[str, Any]) -> SceneGenerator:
     with names_from_data():
         generator = SCENES.get(str(record.get("kind", "home")))
     if not isinstance(generator, SceneGenerator):
-        raise InputError(f"kind: expected a generator of scenes such as home, got {record['kind']!r}.")
+        raise InputError(
+            f"kind: expected a generator of scenes such as home, got {record['kind']!r}.", code="H3-SCENE-064"
+        )
     return generator
 
 
 def _checked_id(text: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9_-]+", text):
-        raise InputError(f"id: expected letters, digits, '_' and '-', got {text!r}.")
+        raise InputError(f"id: expected letters, digits, '_' and '-', got {text!r}.", code="H3-SCENE-061")
     return text
 
 

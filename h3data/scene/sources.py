@@ -58,7 +58,7 @@ class SceneFile:
         reader = reader_of(self.path)
         if reader is None:
             endings = ", ".join(f"*{e}" for r in scene_readers() for e in r.endings) or "a GLB that h3data wrote"
-            raise FormatError(f"Expected a scene ({endings}): {self.path}{missing_packages()}")
+            raise FormatError(f"Expected a scene ({endings}): {self.path}{missing_packages()}", code="H3-SCENE-067")
         return reader.read(self)
 
 
@@ -101,7 +101,9 @@ class SceneReader:
 
 def _check(entry: Any) -> None:
     if not isinstance(entry, SceneGenerator | SceneReader):
-        raise InputError(f"Expected an h3data.scene.sources.SceneGenerator or SceneReader, got {entry!r:.60}.")
+        raise InputError(
+            f"Expected an h3data.scene.sources.SceneGenerator or SceneReader, got {entry!r:.60}.", code="H3-SCENE-065"
+        )
 
 
 SCENES: Registry[SceneGenerator | SceneReader] = Registry("h3data.scenes", {}, what="kind of scenes", check=_check)
@@ -167,7 +169,9 @@ def object_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
     """
     reader = reader_of(str(file))
     if reader is None or reader.object_mesh is None:
-        raise SceneError(f"No installed package reads the object template {name!r}: {file}{missing_packages()}")
+        raise SceneError(
+            f"No installed package reads the object template {name!r}: {file}{missing_packages()}", code="H3-SCENE-066"
+        )
     return reader.object_mesh(name, file, roots)
 
 

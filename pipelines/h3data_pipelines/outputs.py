@@ -124,7 +124,8 @@ def _open_folder(target: Path, picture: ToPicture) -> Iterator[Sink]:
         others = [p for p in folder.glob("*") if not re.fullmatch(r"\d{6,}\.png(\.part)?", p.name)]
         if others:
             raise InputError(
-                f"The output folder holds files that are not numbered pictures. Move them away: {others[0]}"
+                f"The output folder holds files that are not numbered pictures. Move them away: {others[0]}",
+                code="H3-OPTION-066",
             )
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)

@@ -94,7 +94,7 @@ def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invoc
             _unread(command), prog=prog, config=_CONFIG, args=words, return_unknown_args=True, console_outputs=False
         )
     except SystemExit:  # all fields are optional: only the value of an option can be missing
-        raise InputError(f"{_valueless(options, words)} {see}") from None
+        raise InputError(f"{_valueless(options, words)} {see}", code="H3-OPTION-072") from None
     rest = next((o for o in options if o.count is None and not o.flags), None)
     apart = unknown if rest is not None and not any(word.startswith("-") for word in unknown) else []
     if unknown and not apart:
@@ -105,18 +105,18 @@ def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invoc
     if rest is not None and apart:  # metrics A --paired B: words of one list on both sides of an option
         given[rest.field] = (*given.get(rest.field, ()), *apart)
     if missing := [o.name for o in options if o.required and o.field not in given and o.count is not None]:
-        raise InputError(f"Missing from {prog}: {' and '.join(missing)}. {see}")
+        raise InputError(f"Missing from {prog}: {' and '.join(missing)}. {see}", code="H3-OPTION-069")
     try:
         check_task(command, given.get("task", ""), given)
     except InputError as error:
-        raise InputError(f"{error} {see}") from None
+        raise InputError(f"{error} {see}", code="H3-OPTION-079") from None
     values = {o.field: () for o in options if o.required}  # any number of values may be none
     for option in options:
         if option.field in given:
             try:
                 values[option.field] = read_value(option, given[option.field])
             except ValueError as error:
-                raise InputError(f"{option.name}: {error}. {see}") from None
+                raise InputError(f"{option.name}: {error}. {see}", code="H3-OPTION-073") from None
     return Invocation(command(**values), quiet)
 
 
@@ -136,7 +136,7 @@ def _common(words: list[str], see: str) -> tuple[list[str], bool, Path | None]:
         elif name == "--config":
             path = value if sign else next(waiting, "")
             if not path or path.startswith("-"):
-                raise InputError(f"Missing value for --config. {see}")
+                raise InputError(f"Missing value for --config. {see}", code="H3-OPTION-074")
             config = Path(path)
         elif name == "--trust":
             trust(value if sign else next(waiting, ""))
@@ -218,11 +218,13 @@ def _bare(kind: Any) -> Any:
 def _refuse_option(unknown: list[str], options: tuple[Option, ...], see: str) -> NoReturn:
     word = next((w for w in unknown if w.startswith("-")), unknown[0])
     if not word.startswith("-"):
-        raise InputError(f"Unknown argument {word!r}. {see}")
+        raise InputError(f"Unknown argument {word!r}. {see}", code="H3-OPTION-070")
     flags = [flag for option in options for flag in option.flags]
     if (now := RENAMED.get(word.partition("=")[0])) in flags:
-        raise InputError(f"{word} is {now} now. {see}")
-    raise InputError(f"Unknown option {word!r}.{did_you_mean(word.partition('=')[0], flags)} {see}")
+        raise InputError(f"{word} is {now} now. {see}", code="H3-OPTION-078")
+    raise InputError(
+        f"Unknown option {word!r}.{did_you_mean(word.partition('=')[0], flags)} {see}", code="H3-OPTION-067"
+    )
 
 
 def _valueless(options: tuple[Option, ...], words: list[str]) -> str:
@@ -237,8 +239,10 @@ def _valueless(options: tuple[Option, ...], words: list[str]) -> str:
 
 def _refuse(prog: str, word: str, commands: Mapping[str, Any]) -> NoReturn:
     if word.startswith("-"):
-        raise InputError(f"Expected a command before {word}: {prog} COMMAND {word}. See: {prog} --help")
-    raise InputError(f"Unknown command {word!r}.{suggest(word, commands)} See: {prog} --help")
+        raise InputError(
+            f"Expected a command before {word}: {prog} COMMAND {word}. See: {prog} --help", code="H3-OPTION-071"
+        )
+    raise InputError(f"Unknown command {word!r}.{suggest(word, commands)} See: {prog} --help", code="H3-OPTION-068")
 
 
 # --- help -------------------------------------------------------------------------------------------------------------

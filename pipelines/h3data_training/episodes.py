@@ -29,7 +29,7 @@ def rules(settings: Settings) -> SocialNavSpec:
         InputError: there is no such walk.
     """
     if settings.walk not in WALKERS:
-        raise InputError(f"Unknown walk {settings.walk!r}. Expected one of: {', '.join(WALKERS)}.")
+        raise InputError(f"Unknown walk {settings.walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TRAIN-020")
     return SocialNavSpec(spawn_distance_m=3.0, human=WALKERS[settings.walk])
 
 

@@ -177,7 +177,7 @@ class ActorCritic(nn.Module):
                  for n, t in mine.items() if n not in arrays or arrays[n].shape != tuple(t.shape)]  # fmt: skip
         other += [f"{n}, which is unknown here" for n in arrays if n not in mine]
         if other:
-            raise InputError(f"The policy to begin with has another network: {'; '.join(other)}.")
+            raise InputError(f"The policy to begin with has another network: {'; '.join(other)}.", code="H3-TRAIN-022")
         with torch.no_grad():
             for name, tensor in mine.items():
                 tensor.copy_(torch.as_tensor(arrays[name]))
@@ -251,7 +251,7 @@ def begin_with(net: ActorCritic, policy: VisualPolicy, settings: Settings) -> di
     }  # fmt: skip
     other = [f"{name}={theirs!r}, not {ours!r}" for name, (theirs, ours) in pairs.items() if theirs != ours]
     if other:
-        raise InputError(f"The policy to begin with has {'; '.join(other)}.")
+        raise InputError(f"The policy to begin with has {'; '.join(other)}.", code="H3-TRAIN-021")
     net.take(policy.arrays)
     before = {k: v for k, v in card.training.items() if k not in ("settings", "last_update")}
     return {"digest": policy.digest[:12], "hold": card.hold, **before}

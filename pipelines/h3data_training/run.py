@@ -79,7 +79,8 @@ def train(
     if processes < 1 or settings.worlds % (processes * settings.minibatches):
         raise InputError(
             f"Expected worlds in multiples of {settings.minibatches} minibatches for each of {processes} processes, "
-            f"got {settings.worlds}."
+            f"got {settings.worlds}.",
+            code="H3-TRAIN-041",
         )
     require_light(settings, device)
     job.kept()
@@ -96,7 +97,10 @@ def require_light(settings: Settings, device: str) -> None:
         InputError: the device does not support this light.
     """
     if settings.light != "flat" and not device.startswith("cpu"):
-        raise InputError(f"On {device} colours are in flat light. Hint: --light flat, or --device cpu for baked light.")
+        raise InputError(
+            f"On {device} colours are in flat light. Hint: --light flat, or --device cpu for baked light.",
+            code="H3-TRAIN-042",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +149,8 @@ def _work(job: _Job, stop: StopRequest, say: Say) -> RunResult:
         except torch.cuda.OutOfMemoryError as fault:
             raise InputError(
                 f"The GPU is too small for {job.settings.worlds // ranks.count} worlds. "
-                f"Hint: --worlds {max(job.settings.worlds // 2, 1)}. ({str(fault).splitlines()[0]})"
+                f"Hint: --worlds {max(job.settings.worlds // 2, 1)}. ({str(fault).splitlines()[0]})",
+                code="H3-TRAIN-043",
             ) from None
         finally:
             leave()
@@ -231,7 +236,8 @@ class _Run:
             if not all(map(isfinite, row.values())):
                 raise InputError(
                     f"Training diverged in update {update + 1}: a number is not finite. The checkpoint is as it was. "
-                    f"Hint: another seed, or a lower rate. Folder: {self.folder}"
+                    f"Hint: another seed, or a lower rate. Folder: {self.folder}",
+                    code="H3-TRAIN-031",
                 )
             if is_first and (now - said > 10 or update == 0):
                 said = now

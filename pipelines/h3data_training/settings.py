@@ -91,11 +91,17 @@ class Settings:
     def __post_init__(self) -> None:
         check_light(self.light)
         if self.light != "flat" and "arm_rgb" not in self.observations:
-            raise InputError("Light makes no difference to depth. Hint: leave out the light, or observe arm_rgb.")
+            raise InputError(
+                "Light makes no difference to depth. Hint: leave out the light, or observe arm_rgb.",
+                code="H3-TRAIN-045",
+            )
         known = (*self.pictures, *self.told)
         strangers = [name for name in self.observations if name not in known]
         if strangers or not self.observations:
-            raise InputError(f"Expected observations among {', '.join(known)}; got {', '.join(strangers) or 'none'}.")
+            raise InputError(
+                f"Expected observations among {', '.join(known)}; got {', '.join(strangers) or 'none'}.",
+                code="H3-TRAIN-046",
+            )
         whole = (
             "episodes_per_home",
             "worlds",
@@ -110,26 +116,40 @@ class Settings:
         )
         for name in whole:
             if getattr(self, name) < 1:
-                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
+                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.", code="H3-TRAIN-039")
         if set(PICTURES) <= set(self.observations):
-            raise InputError(f"Expected one picture among the observations, not {' and '.join(PICTURES)}.")
+            raise InputError(
+                f"Expected one picture among the observations, not {' and '.join(PICTURES)}.", code="H3-TRAIN-047"
+            )
         if self.network not in NETWORKS:
-            raise InputError(f"Unknown network {self.network!r}. Expected one of: {', '.join(NETWORKS)}.")
+            raise InputError(
+                f"Unknown network {self.network!r}. Expected one of: {', '.join(NETWORKS)}.", code="H3-TRAIN-048"
+            )
         if self.network == "cnn_gru" and any(side < PATCH or side % PATCH for side in self.picture_size):
-            raise InputError(f"Expected pictures with sides in multiples of {PATCH} pixels, got {self.picture_size}.")
+            raise InputError(
+                f"Expected pictures with sides in multiples of {PATCH} pixels, got {self.picture_size}.",
+                code="H3-TRAIN-049",
+            )
         if self.network == "resnet18_lstm" and (min(self.picture_size) < 8 or self.channels[0] % 16):
             raise InputError(
                 f"Expected pictures of at least 8 pixels a side and multiples of 16 planes for {self.network}, "
-                f"got {self.picture_size} and {self.channels[0]}."
+                f"got {self.picture_size} and {self.channels[0]}.",
+                code="H3-TRAIN-050",
             )
         if self.worlds % self.minibatches:
-            raise InputError(f"Expected worlds in multiples of minibatches={self.minibatches}, got {self.worlds}.")
+            raise InputError(
+                f"Expected worlds in multiples of minibatches={self.minibatches}, got {self.worlds}.",
+                code="H3-TRAIN-051",
+            )
         if self.follow_steps < 0 or self.critic_updates < 0:
             raise InputError(
-                f"Expected follow_steps and critic_updates >= 0, got {self.follow_steps} and {self.critic_updates}."
+                f"Expected follow_steps and critic_updates >= 0, got {self.follow_steps} and {self.critic_updates}.",
+                code="H3-TRAIN-052",
             )
         if self.updates < 0 or not math.isfinite(self.minutes) or self.minutes <= 0:
-            raise InputError(f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.")
+            raise InputError(
+                f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.", code="H3-TRAIN-038"
+            )
 
     @property
     def task(self) -> str:
@@ -175,7 +195,8 @@ class Settings:
         """With a value that looks ``steps`` of 1/30 s ahead at the end of the run, and in proportion at its start."""
         if not (math.isfinite(steps) and steps > self.hold * self.horizon[1] / self.horizon[0]):
             raise InputError(
-                f"Expected a horizon that is longer than an action of {self.hold} steps from the start, got {steps:g} steps."
+                f"Expected a horizon that is longer than an action of {self.hold} steps from the start, got {steps:g} steps.",
+                code="H3-TRAIN-053",
             )
         return replace(self, horizon=(steps * self.horizon[0] / self.horizon[1], float(steps)))
 
@@ -211,5 +232,5 @@ def recipe(name: str, **changes: Any) -> Settings:
         InputError: there is no such recipe, or a value is out of range.
     """
     if name not in RECIPES:
-        raise InputError(f"Unknown recipe {name!r}. Expected one of: {', '.join(RECIPES)}.")
+        raise InputError(f"Unknown recipe {name!r}. Expected one of: {', '.join(RECIPES)}.", code="H3-TRAIN-044")
     return replace(RECIPES[name], **{k: v for k, v in changes.items() if v is not None})

@@ -195,7 +195,9 @@ class Person:
         """
         quats, pelvis = np.array(quats, np.float64), np.array(pelvis, np.float64)
         if quats.shape != (55, 4) or pelvis.shape != (3,):
-            raise InputError(f"Expected rotations [55, 4] and a pelvis [3], got {quats.shape} and {pelvis.shape}.")
+            raise InputError(
+                f"Expected rotations [55, 4] and a pelvis [3], got {quats.shape} and {pelvis.shape}.", code="H3-SIM-013"
+            )
         if base_pose is not None:
             self.base = np.array(base_pose, np.float64)
         self.transition = Transition()
@@ -272,7 +274,7 @@ class Person:
         """Walk along floor points ``(x, z)`` [K, 2] [m], turning on the spot before each leg; what is held is carried."""
         points = np.atleast_2d(np.asarray(path, np.float64))
         if points.shape[-1] != 2 or not np.isfinite(points).all():
-            raise InputError(f"Expected floor points (x, z) of shape [K, 2], got {points.shape}.")
+            raise InputError(f"Expected floor points (x, z) of shape [K, 2], got {points.shape}.", code="H3-SIM-014")
         for point in points:
             way = point - self.base[[0, 2]]
             if np.hypot(*way) <= self.spec.arrive_m:
@@ -304,9 +306,13 @@ class Person:
     def pick(self, name: str, hand: Hand = "right") -> Skill:
         """Move a hand on a straight line to an object, take it, and bring it to where it is carried."""
         if name not in self.objects:
-            raise InputError(f"There is no object {name!r}. There are: {', '.join(self.objects) or 'none'}.")
+            raise InputError(
+                f"There is no object {name!r}. There are: {', '.join(self.objects) or 'none'}.", code="H3-SIM-015"
+            )
         if hand in self.held:
-            raise InputError(f"The {hand} hand already holds {self.held[hand].name!r}. Hint: place it first.")
+            raise InputError(
+                f"The {hand} hand already holds {self.held[hand].name!r}. Hint: place it first.", code="H3-SIM-016"
+            )
         target = self.seen(self.objects[name][:3])
         answer = reach(self.body, target, hand)
         if not answer.reached:
@@ -335,7 +341,7 @@ class Person:
     def place(self, position: ArrayLike, hand: Hand = "right") -> Skill:
         """Put what a hand holds down at a world position [3], upright as it stood, and take the hand back."""
         if hand not in self.held:
-            raise InputError(f"The {hand} hand holds nothing.")
+            raise InputError(f"The {hand} hand holds nothing.", code="H3-SIM-017")
         held, target = self.held[hand], self.seen(position)
         answer = reach(self.body, target, hand)
         if not answer.reached:

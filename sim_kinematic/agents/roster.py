@@ -67,7 +67,9 @@ def make_roster(
     listed = [f"robot:{robot_name(one)}" if isinstance(one, Robot) else one for one in listed]
     listed = [name.strip() if isinstance(name, str) else name for name in listed]
     if not listed or listed == [""]:
-        raise InputError("Expected at least one agent: robot, human, or the name of a built-in body; got none.")
+        raise InputError(
+            "Expected at least one agent: robot, human, or the name of a built-in body; got none.", code="H3-SIM-020"
+        )
     parsed = [_kind_and_model(name, robot=robot_name(robot), human=human) for name in listed]
     total, count = Counter(kind for kind, _ in parsed), Counter[str]()
     roster = []
@@ -120,7 +122,7 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
         return "robot", name
     known = ("robot", "human", *robot_names(), *humanoid_names())
     files = ", a robot's .urdf, robot.toml or folder, or a person's .npz file"
-    raise InputError(f"Unknown agent {name!r}.{suggest(str(name), known, more=files)}")
+    raise InputError(f"Unknown agent {name!r}.{suggest(str(name), known, more=files)}", code="H3-SIM-019")
 
 
 def is_person(name: str) -> bool:
@@ -168,5 +170,8 @@ def sample_places(
             if attempts == ATTEMPTS:
                 distance, attempts = distance / 2, 0
                 if distance < NEAREST_M:
-                    raise SceneError(f"Found no place for {len(roster)} agents. Hint: fewer agents, or a larger home.")
+                    raise SceneError(
+                        f"Found no place for {len(roster)} agents. Hint: fewer agents, or a larger home.",
+                        code="H3-SIM-021",
+                    )
     return np.stack([places[k] for k in range(len(roster))])

@@ -178,13 +178,17 @@ class Objects:
         skill, k = action.skill, action.target
         known = (*SKILLS, *OPENING_SKILLS) if self.joints else SKILLS
         if skill not in known:
-            raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.")
+            raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(known)}.", code="H3-SIM-022")
         if skill in OPENING_SKILLS:
             if not 0 <= k < len(self.joints):
-                raise InputError(f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.")
+                raise InputError(
+                    f"{skill} needs one of the joints 0 to {len(self.joints) - 1}, got {k}.", code="H3-SIM-024"
+                )
             return "hand_full" if skill != "nav_to_handle" and self.held(agent) >= 0 else ""
         if skill in SKILLS[:4] and not 0 <= k < len(self.names):
-            raise InputError(f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.")
+            raise InputError(
+                f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.", code="H3-SIM-023"
+            )
         if skill in ("nav_to_object", "pick") and self.held_by[k] not in (NOBODY, agent):
             return "held_by_other"
         if skill == "nav_to_object" and self.held_by[k] == agent:

@@ -109,6 +109,7 @@ def _wider_floor(robot: Robot, radius_m: float, scene: Scene, free: FreeSpace) -
     if floor is None or not len(floor.polygon.geoms):
         raise SceneError(
             f"A base with discs of {radius_m:g} m fits nowhere in {scene.name}. Hint: a smaller base_radius_m in the "
-            f"robot.toml of {robot.name}. File: {robot.file}"
+            f"robot.toml of {robot.name}. File: {robot.file}",
+            code="H3-SIM-025",
         )
     return floor

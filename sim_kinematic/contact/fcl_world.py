@@ -103,10 +103,14 @@ class MovingShapes(_Objects):
         """Moves every shape: ``transforms`` [n, 4, 4] are the world frames in which the shapes are given, rigid."""
         t = np.asarray(transforms, np.float64)
         if t.shape != (len(self), 4, 4):
-            raise InputError(f"Expected one 4x4 transform for each of {len(self)} shapes, got shape {list(t.shape)}.")
+            raise InputError(
+                f"Expected one 4x4 transform for each of {len(self)} shapes, got shape {list(t.shape)}.",
+                code="H3-SIM-026",
+            )
         if not np.isfinite(t).all():
             raise InputError(
-                "Transforms of collision shapes must be finite. Hint: leave out bodies that are not there."
+                "Transforms of collision shapes must be finite. Hint: leave out bodies that are not there.",
+                code="H3-SIM-027",
             )
         world = t @ self._local
         for k, one in enumerate(self.objects):

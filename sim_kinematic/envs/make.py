@@ -231,14 +231,17 @@ def _make(
     found = find_task(task)
     if device is not None:
         if flatten:
-            raise InputError("Observations on a torch device are tensors by name. Hint: leave out flatten or device.")
+            raise InputError(
+                "Observations on a torch device are tensors by name. Hint: leave out flatten or device.",
+                code="H3-ENV-019",
+            )
         return _on_device(found, scenes, num_envs, device, agents, options)
     from sim_kinematic.envs.stepper import FlatStepper, ManySteppers, Options
 
     if isinstance(agents, str):
         agents = (agents,)
     if len(agents) > 1 and num_envs is not None:
-        raise InputError("An environment of two agents has one world. Hint: leave out num_envs.")
+        raise InputError("An environment of two agents has one world. Hint: leave out num_envs.", code="H3-ENV-018")
     stepper_class = _stepper_class(found)
     if "agent" in options:
         agents = (options.pop("agent"),)
@@ -284,7 +287,10 @@ def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Se
     known += [*shared, *task.env_options, "num_envs", "device", "render_mode", "flatten"]
     for name in options:
         if name not in known:
-            raise InputError(f"Unknown option {name!r} of {task.name}.{suggest(name, known, lead='Expected some of')}")
+            raise InputError(
+                f"Unknown option {name!r} of {task.name}.{suggest(name, known, lead='Expected some of')}",
+                code="H3-ENV-020",
+            )
 
 
 def _on_device(

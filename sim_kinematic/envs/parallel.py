@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 try:
     import pettingzoo
 except ImportError as error:
-    raise MissingExtraError("Environments of two agents need PettingZoo. Hint: pip install 'h3data[env]'") from error
+    raise MissingExtraError(
+        "Environments of two agents need PettingZoo. Hint: pip install 'h3data[env]'", code="H3-ENV-021"
+    ) from error
 
 Infos = dict[str, dict[str, Any]]
 
@@ -78,7 +80,8 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
         if set(actions) != set(self.agents) or not self.agents:
             raise InputError(
                 f"Expected actions of {', '.join(self.agents) or 'nobody: the episode is over, call reset()'}; got those of "
-                f"{', '.join(map(str, actions)) or 'nobody'}."
+                f"{', '.join(map(str, actions)) or 'nobody'}.",
+                code="H3-ENV-022",
             )
         reward, terminated, truncated = self.stepper.step({agent: one_row(a) for agent, a in actions.items()})
         ends, stops = bool(terminated[0]), bool(truncated[0])

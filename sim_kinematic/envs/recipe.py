@@ -55,5 +55,5 @@ class PickledEnv:
 
     def __reduce__(self) -> tuple[Callable[[], Any], tuple[()]]:
         if self.recipe is None:
-            raise H3DataError("Only environments made by h3data.make can be pickled.")
+            raise H3DataError("Only environments made by h3data.make can be pickled.", code="H3-ENV-023")
         return self.recipe.make, ()

@@ -89,7 +89,7 @@ def checked_render_mode(mode: str | None) -> str | None:
         InputError: it is another.
     """
     if mode not in (None, "rgb_array"):
-        raise InputError(f"Unknown render mode {mode!r}. Expected rgb_array or None.")
+        raise InputError(f"Unknown render mode {mode!r}. Expected rgb_array or None.", code="H3-ENV-024")
     return mode
 
 

@@ -83,13 +83,17 @@ class SkillStepper:
             InputError: a name does not exist.
         """
         if not agents or not set(agents) <= set(KINDS) or len(set(agents)) < len(agents):
-            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.")
+            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.", code="H3-ENV-002")
         if level not in get_args(Level):
-            raise InputError(f"Unknown level {level!r}. Expected one of: {', '.join(get_args(Level))}.")
+            raise InputError(
+                f"Unknown level {level!r}. Expected one of: {', '.join(get_args(Level))}.", code="H3-ENV-025"
+            )
         if level == "low" and "robot" not in agents:
-            raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.")
+            raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.", code="H3-ENV-026")
         if len(agents) == len(KINDS) and partner is not None:
-            raise InputError("Both agents are told from outside, so there is no partner. Hint: leave out partner.")
+            raise InputError(
+                "Both agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-003"
+            )
         self.task, self.agents = task, tuple(agents)
         self.source = EpisodeSource(task, scenes, spec=spec, robot=robot, human=human)
         self.spec = self.source.spec
@@ -229,12 +233,12 @@ class SkillStepper:
     # --- inside -------------------------------------------------------------------------------------------------------
     def _begun(self) -> RearrangeRollout:
         if self.play is None:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         return self.play
 
     def _playing(self) -> RearrangeRollout:
         if self.play is None or self.is_over:
-            raise InputError("No episode is going on. Hint: call reset() first.")
+            raise InputError("No episode is going on. Hint: call reset() first.", code="H3-ENV-027")
         return self.play
 
     def _chosen(self, agent: str, action: ArrayLike) -> Action:
@@ -249,7 +253,9 @@ class SkillStepper:
         there = self._choices[agent]
         if number.shape != (1,) or number.dtype.kind not in "iu" or not 0 <= number[0] < len(there):
             shown = number[0] if number.shape == (1,) else action
-            raise InputError(f"Expected the number of an action, 0 to {len(there) - 1}, got {shown!r}.")
+            raise InputError(
+                f"Expected the number of an action, 0 to {len(there) - 1}, got {shown!r}.", code="H3-ENV-028"
+            )
         return there[int(number[0])]
 
     def _go_on(self, chosen: dict[int, Action]) -> None:

@@ -116,7 +116,9 @@ class ManySteppers:
 
     def __init__(self, make: Callable[[], Any], worlds: int) -> None:
         if isinstance(worlds, bool) or not isinstance(worlds, int) or worlds < 1:
-            raise InputError(f"Expected at least 1 world (num_envs), a whole number, got {worlds!r}.")
+            raise InputError(
+                f"Expected at least 1 world (num_envs), a whole number, got {worlds!r}.", code="H3-ENV-030"
+            )
         self.each = [make() for _ in range(worlds)]
         self.worlds, self.agents = worlds, self.each[0].agents
         self.observation_space = self.each[0].observation_space
@@ -196,9 +198,11 @@ def checked_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
     try:
         checked = np.asarray(actions, np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"Expected actions of shape {list(shape)}, got {actions!r}.") from None
+        raise InputError(f"Expected actions of shape {list(shape)}, got {actions!r}.", code="H3-ENV-031") from None
     if checked.shape != shape:
-        raise InputError(f"Expected actions of shape {list(shape)}, got {list(checked.shape)}.")
+        raise InputError(f"Expected actions of shape {list(shape)}, got {list(checked.shape)}.", code="H3-ENV-010")
     if not np.isfinite(checked).all():
-        raise InputError(f"Actions must be finite, got {checked[~np.isfinite(checked)][0]} in {checked.tolist()}.")
+        raise InputError(
+            f"Actions must be finite, got {checked[~np.isfinite(checked)][0]} in {checked.tolist()}.", code="H3-ENV-029"
+        )
     return checked

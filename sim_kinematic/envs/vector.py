@@ -56,7 +56,9 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
         else:
             listed = [None] * self.num_envs if seed is None else list(seed)  # type: ignore[arg-type]
         if len(listed) != self.num_envs:
-            raise InputError(f"Expected one seed, or one for each of {self.num_envs} worlds, got {len(listed)}.")
+            raise InputError(
+                f"Expected one seed, or one for each of {self.num_envs} worlds, got {len(listed)}.", code="H3-ENV-032"
+            )
         for w, given in enumerate(listed):
             if given is not None or self._indices[w] < 0:
                 self._seeds[w], self._indices[w] = run_seed(given, self.np_random), -1

@@ -84,7 +84,9 @@ class WorldStepper:
         names = [member.name for member in self.source.roster]
         strangers = [agent for agent in agents if agent not in names]
         if strangers or not agents or len(set(agents)) < len(agents):
-            raise InputError(f"Expected agents that act, some of {', '.join(names)}; got {tuple(agents)!r}.")
+            raise InputError(
+                f"Expected agents that act, some of {', '.join(names)}; got {tuple(agents)!r}.", code="H3-ENV-033"
+            )
         self.agents = tuple(agents)
         self.numbers = {agent: names.index(agent) for agent in agents}
         self._others = [k for k in range(len(names)) if k not in self.numbers.values()]
@@ -141,7 +143,7 @@ class WorldStepper:
             for agent, action in actions.items()
         }
         if not self.play.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         commands = [
             DriveCommand(given[k]) if k in given else self._other_command(k) for k in range(len(self.source.roster))
         ]
@@ -203,7 +205,7 @@ class WorldStepper:
     def picture(self, agent: str, watcher: DebugRenderer, world: int = 0) -> NDArray[np.uint8]:
         """Picture of one world for people who watch, uint8 [480, 640, 3]."""
         if not self.play.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         return watcher.picture(self._posed(np.array([world]), self._options.light), self.numbers[agent])
 
     def describe(self) -> str:

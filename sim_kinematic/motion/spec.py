@@ -262,4 +262,6 @@ class OracleSpec:
     def __post_init__(self) -> None:
         for changes, ends in (self.robot_steps, self.person_steps):
             if not 1 <= changes <= ends:
-                raise InputError(f"Expected picks of 1 <= hand-over <= end steps, got {changes} and {ends}.")
+                raise InputError(
+                    f"Expected picks of 1 <= hand-over <= end steps, got {changes} and {ends}.", code="H3-SIM-032"
+                )

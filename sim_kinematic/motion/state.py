@@ -140,7 +140,8 @@ class WorldState(_Arrays):
         if len(each) != robots or min(worlds, robots, people, objects, scene_joints, *each) < 0:
             raise InputError(
                 f"Expected numbers of 0 or more, and one number of joints for each robot; got {worlds} worlds, {robots} "
-                f"robots, {people} people, joints {joints}, {objects} objects and {scene_joints} joints of the scene."
+                f"robots, {people} people, joints {joints}, {objects} objects and {scene_joints} joints of the scene.",
+                code="H3-SIM-033",
             )
         nowhere = np.tile(IDENTITY_POSE, (worlds, objects, 1))
         return cls(

@@ -272,7 +272,8 @@ def drive_robots(
     elif spec.slide == "habitat":
         if len(free.heights):
             raise InputError(
-                "Bases slide as in Habitat on one level floor only. Hint: slide='strict' in homes with stairs."
+                "Bases slide as in Habitat on one level floor only. Hint: slide='strict' in homes with stairs.",
+                code="H3-SIM-037",
             )
         rules = spec.habitat.slides, spec.habitat.slides_while_turning, spec.habitat.navmesh_slides
         broken = _drive_worlds_as_habitat(
@@ -280,9 +281,11 @@ def drive_robots(
             offsets, spec.contact_tolerance_m, rules,
         )  # fmt: skip
     else:
-        raise InputError(f"Unknown slide {spec.slide!r}. Expected one of: {', '.join(get_args(Slide))}.")
+        raise InputError(
+            f"Unknown slide {spec.slide!r}. Expected one of: {', '.join(get_args(Slide))}.", code="H3-SIM-036"
+        )
     if broken >= 0:
-        raise InputError(f"Actions must be finite. That of world {broken} is {action[broken]}.")
+        raise InputError(f"Actions must be finite. That of world {broken} is {action[broken]}.", code="H3-SIM-034")
 
 
 @kernel(error_model="numpy")
@@ -325,5 +328,7 @@ def per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
     rows = np.asarray(rows, np.float64)
     worlds = len(state.heading)
     if rows.shape != (worlds, width):
-        raise InputError(f"Expected shape {[worlds, width]}: {width} numbers per world, got {list(rows.shape)}.")
+        raise InputError(
+            f"Expected shape {[worlds, width]}: {width} numbers per world, got {list(rows.shape)}.", code="H3-SIM-035"
+        )
     return rows

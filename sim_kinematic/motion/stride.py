@@ -249,7 +249,7 @@ class Strider:
             InputError: the walker has no `StrideSpec`.
         """
         if spec.stride is None:
-            raise InputError("Expected a walker with a stride, got one who turns on the spot.")
+            raise InputError("Expected a walker with a stride, got one who turns on the spot.", code="H3-SIM-038")
         self._radius_m = radius_m
         self.walk_on(free)
         self._rules = spec.speed_mps, spec.stride.limits, round(spec.stride.patience_s / STEP_S), STEP_S

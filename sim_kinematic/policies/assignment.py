@@ -85,7 +85,10 @@ def assign(task: Task, episode: Episode, chosen: Assigned) -> list[AssignedPolic
     names = [member.name for member in members]
     strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
     if strangers:
-        raise InputError(f"Nobody is called {strangers[0]!r}.{suggest(strangers[0], names, lead='Expected some of')}")
+        raise InputError(
+            f"Nobody is called {strangers[0]!r}.{suggest(strangers[0], names, lead='Expected some of')}",
+            code="H3-POLICY-003",
+        )
     picked: list[Any] = [None] * len(members)
     for key, choice in chosen.items():
         kind = KINDS.get(key) if key not in names or names.count(key) != 1 else None
@@ -121,7 +124,8 @@ def each_of(choice: Chosen, count: int, kind: str) -> list[Any]:
     if count and len(listed) != count:
         what, whose = ("policy", "robot") if kind == "robot" else ("partner", "person")
         raise InputError(
-            f"Expected one {what} for each {whose}, {count} in all, or one name for all; got {len(listed)}."
+            f"Expected one {what} for each {whose}, {count} in all, or one name for all; got {len(listed)}.",
+            code="H3-POLICY-004",
         )
     return listed[:count]
 
@@ -166,7 +170,9 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
     if callable(choice):
         name = getattr(choice, "__name__", type(choice).__name__)
         return lambda episode, number: AssignedPolicy(FunctionPolicy(choice, _base(episode, number)), name, kind)
-    raise InputError(f"Expected a policy by name, with a method act, or a function, got {choice!r}.")
+    raise InputError(
+        f"Expected a policy by name, with a method act, or a function, got {choice!r}.", code="H3-POLICY-001"
+    )
 
 
 def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:
@@ -197,11 +203,13 @@ def unknown_policy(task: Task, kind: str, name: str) -> InputError:
         whose = "robots" if kind == "robot" else "people"
         return InputError(
             f"Files of weights are not for {whose} of {task.name}, got {name!r}. Expected one of: {', '.join(there)} or "
-            "module:name."
+            "module:name.",
+            code="H3-POLICY-005",
         )
     return InputError(
         f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}."
-        f"{suggest(name, there, more=', weights:FILE or module:name')}{weights_hint(name)}"
+        f"{suggest(name, there, more=', weights:FILE or module:name')}{weights_hint(name)}",
+        code="H3-POLICY-002",
     )
 
 

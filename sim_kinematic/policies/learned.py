@@ -110,17 +110,21 @@ def network_of(policy: str) -> AnyNetwork:
     name = str(builtin_path(SHIPPED[policy])) if policy in SHIPPED else bare.removeprefix(PREFIX)
     found = _STAMP.match(name)
     if not name:
-        raise InputError("Expected the path of a file of weights, as weights:FILE.")
+        raise InputError("Expected the path of a file of weights, as weights:FILE.", code="H3-POLICY-013")
     path = Path(found["file"] if found else name)
     network = _loaded(path, path.stat().st_mtime_ns if path.is_file() else 0)
     if found and not network.digest.startswith(found["digest"]):
         raise InputError(
             f"The weights are no longer those that {policy} names: their digest is {network.digest[:12]}. "
-            f"Hint: weights:{path} takes them as they are."
+            f"Hint: weights:{path} takes them as they are.",
+            code="H3-POLICY-014",
         )
     if light is not None:
         if not isinstance(network, VisualPolicy):
-            raise InputError(f"The network sees no colours, so light makes no difference to it. Policy: {policy}")
+            raise InputError(
+                f"The network sees no colours, so light makes no difference to it. Policy: {policy}",
+                code="H3-POLICY-019",
+            )
         return network.in_light(light)
     return network
 
@@ -135,7 +139,8 @@ def _loaded(path: Path, changed_ns: int) -> AnyNetwork:
         return files.network_from(data, path)
     raise FormatError(
         f"Expected a file of weights ({files.FILE_FORMAT}) or a trained policy ({visual_policy.FILE_FORMAT}), got {found}. "
-        f"{files.HINT} File: {path}"
+        f"{files.HINT} File: {path}",
+        code="H3-POLICY-063",
     )
 
 
@@ -220,7 +225,9 @@ class VisualNavigation:
         """
         require(network, "social_nav", {**visual_policy.PICTURES, **visual_policy.ENCODINGS}, outputs=2)
         if robot and robot != network.card.robot:
-            raise FormatError(f"These weights drive the robot {network.card.robot}, the episode has {robot}.")
+            raise FormatError(
+                f"These weights drive the robot {network.card.robot}, the episode has {robot}.", code="H3-POLICY-020"
+            )
         self.network = network
         self._state, self._action = network.start(), np.zeros(2, np.float32)
         self._step, self._decision = -1, -1
@@ -248,7 +255,9 @@ class VisualNavigation:
         pictures = tuple(n for n in card.observations if n not in NAVIGATION_INPUTS)
         shown = {n: NAVIGATION_INPUTS[n](view, spec) for n in card.observations if n in NAVIGATION_INPUTS}
         if pictures and view.pictures is None:
-            raise InputError(f"The policy needs {' and '.join(pictures)}, and nobody takes pictures here.")
+            raise InputError(
+                f"The policy needs {' and '.join(pictures)}, and nobody takes pictures here.", code="H3-POLICY-021"
+            )
         return shown | (view.pictures(pictures, card.picture_size, card.light) if pictures and view.pictures else {})
 
 
@@ -270,7 +279,9 @@ def navigation_of(network: AnyNetwork, *, robot: str = "") -> LearnedNavigation 
     if isinstance(network, VisualPolicy):
         return VisualNavigation(network, robot=robot)
     if isinstance(network, SkillPolicyNetwork):
-        raise FormatError(f"Expected weights for the task social_nav, these are for {network.task!r}.")
+        raise FormatError(
+            f"Expected weights for the task social_nav, these are for {network.task!r}.", code="H3-POLICY-015"
+        )
     return LearnedNavigation(network)
 
 
@@ -281,12 +292,18 @@ def require(network: Network | VisualPolicy, task: str, known: Mapping[str, Any]
         FormatError: it does not fit.
     """
     if network.task != task:
-        raise FormatError(f"Expected weights for the task {task}, these are for {network.task!r}.")
+        raise FormatError(
+            f"Expected weights for the task {task}, these are for {network.task!r}.", code="H3-POLICY-016"
+        )
     strangers = [name for name in network.observations if name not in known]
     if strangers:
         raise FormatError(
             f"The network wants observations that a policy from a file is not given: {', '.join(strangers)}. There are: "
-            f"{', '.join(known)}."
+            f"{', '.join(known)}.",
+            code="H3-POLICY-017",
         )
     if network.outputs != outputs:
-        raise FormatError(f"Expected a network with {outputs} outputs for {task}, this one has {network.outputs}.")
+        raise FormatError(
+            f"Expected a network with {outputs} outputs for {task}, this one has {network.outputs}.",
+            code="H3-POLICY-018",
+        )

@@ -62,7 +62,9 @@ def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedSkillPo
         if isinstance(network, SkillPolicyNetwork):
             return RecurrentSkillPolicy(network, objects, robot=robot)
         if not isinstance(network, Network):
-            raise FormatError(f"Expected weights for the task {TASK}, these are for {network.task!r}.")
+            raise FormatError(
+                f"Expected weights for the task {TASK}, these are for {network.task!r}.", code="H3-POLICY-022"
+            )
         return LearnedSkillPolicy(network, objects, robot=robot)
 
 

@@ -90,7 +90,8 @@ class External:
     def act(self, view: Any) -> Any:
         """Never asked: a session answers for it."""
         raise InputError(
-            f"Agent {getattr(view, 'agent', '')} is controlled from outside. Hint: play it with h3data.session."
+            f"Agent {getattr(view, 'agent', '')} is controlled from outside. Hint: play it with h3data.session.",
+            code="H3-POLICY-037",
         )
 
     def interrupts(self, view: Any) -> str:

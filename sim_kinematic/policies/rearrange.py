@@ -219,7 +219,9 @@ def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
         return learned_chooser(name, objects, robot=True)
     if name not in ROBOT_POLICIES:
         there = (*ROBOT_POLICIES, *SHIPPED_IN["rearrange"])
-        raise InputError(f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}")
+        raise InputError(
+            f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-038"
+        )
     return ROBOT_POLICIES[name]()
 
 
@@ -234,7 +236,9 @@ def partner_plan(name: str, seed: int) -> str:
         return name
     if name not in POPULATIONS:
         there = (*PARTNERS, *SHIPPED_PARTNERS)
-        raise InputError(f"Unknown partner {name!r}.{suggest(name, there, more=', or weights:FILE')}")
+        raise InputError(
+            f"Unknown partner {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-039"
+        )
     plans = POPULATIONS[name]
     return plans[int(generator(seed, f"partner/{name}").integers(len(plans)))]
 

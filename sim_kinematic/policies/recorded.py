@@ -78,14 +78,16 @@ class RecordedVelocities:
         actions = recording.columns[f"agent_{number}.action"]
         if actions.shape != (len(recording), 2) or not np.isfinite(actions).all():
             raise InputError(
-                f"Expected agent_{number}.action [T, 2] of finite numbers, got shape {list(actions.shape)}."
+                f"Expected agent_{number}.action [T, 2] of finite numbers, got shape {list(actions.shape)}.",
+                code="H3-POLICY-043",
             )
         names = recording.agents[number].skill_names
         codes = recording.columns.get(f"agent_{number}.skill", np.full(len(recording), -1))
         strange = sorted({int(c) for c in codes if not -1 <= c < len(names)})
         if strange:
             raise InputError(
-                f"Unknown skill codes {strange[:5]} in agent_{number}.skill. Expected: {', '.join(names)}."
+                f"Unknown skill codes {strange[:5]} in agent_{number}.skill. Expected: {', '.join(names)}.",
+                code="H3-POLICY-044",
             )
         choices = {
             k: Velocity(forward, turn, names[code] if code >= 0 else "")
@@ -103,7 +105,7 @@ class RecordedVelocities:
         if view.step >= self._until and self._own is not None:
             return choice
         if view.step not in self._choices:
-            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.")
+            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.", code="H3-POLICY-045")
         return self._choices[view.step]
 
 
@@ -126,7 +128,7 @@ class RecordedCommands:
         if view.step >= self._until and self._own is not None:
             return self._own.act(view)
         if self._next >= len(self._commands) or self._commands[self._next].step != view.step:
-            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.")
+            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.", code="H3-POLICY-045")
         self._next += 1
         return self._commands[self._next - 1].choice
 
@@ -154,20 +156,27 @@ class RecordedTrack:
             InputError: the person's body was not recorded as motion clips at every step.
         """
         if not len(recording):
-            raise InputError("The recording has no steps, so there is no track of a person to keep.")
+            raise InputError(
+                "The recording has no steps, so there is no track of a person to keep.", code="H3-POLICY-046"
+            )
         names = [f"agent_{number}.{n}" for n in ("base_pose", "motion_id", "motion_phase", "motion_blend")]
         lacks = [n for n in names if n not in recording.columns]
         if lacks:
-            raise InputError(f"The person's body must be recorded as clips; the recording lacks: {', '.join(lacks)}.")
+            raise InputError(
+                f"The person's body must be recorded as clips; the recording lacks: {', '.join(lacks)}.",
+                code="H3-POLICY-047",
+            )
         base, *self._motion = (recording.columns[n] for n in names)
         self._arms = recording.columns.get(f"agent_{number}.motion_arms", np.zeros((len(recording), 2), np.float32))
         if self._arms.shape != (len(recording), 2):
-            raise InputError(f"Expected agent_{number}.motion_arms [T, 2], got shape {list(self._arms.shape)}.")
+            raise InputError(
+                f"Expected agent_{number}.motion_arms [T, 2], got shape {list(self._arms.shape)}.", code="H3-POLICY-048"
+            )
         if not all(np.isfinite(array).all() for array in (base, self._arms, *self._motion)):
-            raise InputError("The person's track must be finite at every step.")
+            raise InputError("The person's track must be finite at every step.", code="H3-POLICY-049")
         clips = len(body.clips)
         if ((self._motion[0] < 0) | (self._motion[0] >= clips)).any():
-            raise InputError(f"agent_{number}.motion_id must be in 0..{clips - 1}.")
+            raise InputError(f"agent_{number}.motion_id must be in 0..{clips - 1}.", code="H3-POLICY-050")
         self._xz = base[:, [0, 2]].astype(np.float64)
         self._heading = np.unwrap(heading_from_quat(base[:, 3:].astype(np.float64)))
 
@@ -264,7 +273,9 @@ def deciding_since(recording: Recording) -> list[int]:
     except msgspec.ValidationError:
         since = []
     if len(since) != count or min(since) < 0:
-        raise InputError(f"Expected deciding_since in the info, a step for each of {count} agents.")
+        raise InputError(
+            f"Expected deciding_since in the info, a step for each of {count} agents.", code="H3-POLICY-040"
+        )
     return since
 
 
@@ -287,7 +298,8 @@ def recorded_choices(
     names = {span.name for span in spans} | {codes[c] for c in now[:, 0].tolist() if c in codes}
     if CONTROL in names:
         raise InputError(
-            f"agent_{number} was driven by its lower layer ({CONTROL}), whose commands are not recorded. Expected skills only."
+            f"agent_{number} was driven by its lower layer ({CONTROL}), whose commands are not recorded. Expected skills only.",
+            code="H3-POLICY-041",
         )
     strange: set[Any] = names - set(known) | {c for c in now[:, 0].tolist() if c not in codes}
     strange |= {s.target for s in spans if s.target not in ("", *(joints if s.name in OPENING_SKILLS else objects))}
@@ -297,11 +309,15 @@ def recorded_choices(
     if strange or now.ndim != 2:
         raise InputError(
             f"Unknown skills or objects of agent_{number}: {', '.join(sorted(map(str, strange))[:5])}. Expected skills: "
-            f"{', '.join(name for name in known if name != CONTROL)}; objects: {', '.join((*objects, *joints))}."
+            f"{', '.join(name for name in known if name != CONTROL)}; objects: {', '.join((*objects, *joints))}.",
+            code="H3-POLICY-042",
         )
     for span in spans:
         if span.name in (*SKILLS[:4], *OPENING_SKILLS) and not span.target:
-            raise InputError(f"The skill {span.name} of agent_{number} at step {span.start_step} names no object.")
+            raise InputError(
+                f"The skill {span.name} of agent_{number} at step {span.start_step} names no object.",
+                code="H3-POLICY-051",
+            )
     return spans, now
 
 
@@ -322,5 +338,5 @@ def recorded_commands(recording: Recording, decode: Callable[[Any], Any]) -> dic
             command = RecordedCommand(int(data["step"]), decode(data["choice"]), str(data.get("interrupts", "")))
             commands.setdefault(int(data["agent"]), []).append(command)
         except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as fault:
-            raise InputError(f"Malformed raw input at {event.time_ns} ns: {fault!r}.") from None
+            raise InputError(f"Malformed raw input at {event.time_ns} ns: {fault!r}.", code="H3-POLICY-052") from None
     return commands

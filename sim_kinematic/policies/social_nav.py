@@ -197,7 +197,10 @@ def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
         InputError: nobody knows their future: they do not follow the script of an episode.
     """
     if view.future is None:
-        raise InputError("future_oracle needs the person's future, known of scripted and recorded people alone.")
+        raise InputError(
+            "future_oracle needs the person's future, known of scripted and recorded people alone.",
+            code="H3-POLICY-062",
+        )
     future = view.future()
     walk = np.concatenate([future[:ESCAPE_STEPS], np.repeat(future[-1:], max(ESCAPE_STEPS - len(future), 0), axis=0)])
     if not view.met and view.geodesic_m > REACH_M:
@@ -282,7 +285,9 @@ def policy_by_name(name: str) -> Policy:
     name = EARLIER_NAMES.get(name, name)
     if name not in POLICIES:
         there = [*POLICIES, *SHIPPED_IN["social_nav"]]
-        raise InputError(f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}")
+        raise InputError(
+            f"Unknown policy {name!r}.{suggest(name, there, more=', or weights:FILE')}", code="H3-POLICY-038"
+        )
     return POLICIES[name]
 
 

@@ -148,7 +148,7 @@ class VisualPolicy:
     def __post_init__(self) -> None:
         faults = _faults(type(self), self.card, self.arrays)
         if faults:
-            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.")
+            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.", code="H3-POLICY-007")
 
     @property
     def task(self) -> str:
@@ -182,7 +182,7 @@ class VisualPolicy:
             InputError: it sees no colours.
         """
         if not self.sees_colours:
-            raise InputError("The network sees no colours, so light makes no difference to it.")
+            raise InputError("The network sees no colours, so light makes no difference to it.", code="H3-POLICY-032")
         return replace(self, card=msgspec.structs.replace(self.card, light=light))
 
     @cached_property
@@ -274,7 +274,7 @@ class VisualPolicy:
             encode, (length, _) = ENCODINGS[name][0], lengths(name, self.card.actions)
             if name not in shown or np.shape(shown[name]) != (length,):
                 got = list(np.shape(shown[name])) if name in shown else "none"
-                raise InputError(f"Expected the observation {name} [{length}], got {got}.")
+                raise InputError(f"Expected the observation {name} [{length}], got {got}.", code="H3-POLICY-036")
             parts.append(encode(shown[name]))
         return np.concatenate([*parts, last]).astype(np.float32)
 
@@ -286,7 +286,7 @@ class VisualPolicy:
         expected = (*self.card.picture_size[::-1], PICTURES[name])
         if name not in shown or shown[name].shape != expected:
             got = list(shown[name].shape) if name in shown else "none"
-            raise InputError(f"Expected {name} {list(expected)}, got {got}.")
+            raise InputError(f"Expected {name} {list(expected)}, got {got}.", code="H3-POLICY-033")
         return shown[name]
 
     def _features(self, picture: NDArray[Any]) -> Floats:
@@ -434,8 +434,10 @@ def policy_from(
         arrays = {n: a for n, a in data.items() if n not in ("format", "card")}
         return kind_of(card.network)(card=card, arrays=arrays)
     except KeyError as fault:
-        raise FormatError(f"The policy file lacks the array {fault}. File: {path}") from None
+        raise FormatError(f"The policy file lacks the array {fault}. File: {path}", code="H3-POLICY-034") from None
     except (msgspec.MsgspecError, json.JSONDecodeError, UnicodeError) as fault:
-        raise FormatError(f"The card of the policy file is malformed: {fault}. File: {path}") from None
+        raise FormatError(
+            f"The card of the policy file is malformed: {fault}. File: {path}", code="H3-POLICY-035"
+        ) from None
     except InputError as fault:
         raise FormatError(f"{fault} File: {path}", code=fault.code) from None

@@ -78,7 +78,9 @@ class AgentPictures:
         """
         for size in filter(None, (depth_size, rgb_size)):
             if len(size) != 2 or min(size) < 1:
-                raise InputError(f"Expected a picture of at least 1 x 1 pixels (width, height), got {size}.")
+                raise InputError(
+                    f"Expected a picture of at least 1 x 1 pixels (width, height), got {size}.", code="H3-SIM-039"
+                )
         self.names = tuple(name for name in names if name in picture_names(body))
         self._agent = agent
         self._lenses = {n: _lens(body, n, rgb_size if n.endswith("_rgb") else depth_size) for n in self.names}

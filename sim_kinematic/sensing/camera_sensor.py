@@ -87,7 +87,9 @@ class StateRenderer:
         static = [k for name, k in drawn_as.items() if name not in set(objects)]
         unknown = sorted(set(objects) - set(drawn_as))
         if unknown:
-            raise InputError(f"The scene draws no instances {', '.join(unknown)}, which the state is to move.")
+            raise InputError(
+                f"The scene draws no instances {', '.join(unknown)}, which the state is to move.", code="H3-SIM-040"
+            )
         scales = {i.name: i.scale for i in scene.instances}
         self._objects = [drawn_as[name] for name in objects]
         self._object_scale = np.array([scales[name] for name in objects], np.float64).reshape(-1, 1, 3)
@@ -174,7 +176,8 @@ class StateRenderer:
         if state.object_pose.shape[:2] != (self.worlds, len(self._objects)):
             raise InputError(
                 f"Expected a state of {self.worlds} worlds and {len(self._objects)} objects, got "
-                f"{state.worlds} and {state.object_pose.shape[1]}."
+                f"{state.worlds} and {state.object_pose.shape[1]}.",
+                code="H3-SIM-041",
             )
         require_bodies(state, self.bodies)
         if frames is None:
@@ -206,9 +209,9 @@ class StateRenderer:
     def _posed(self, agent: int) -> Array:
         """An agent's frames as last posed."""
         if not self._frames:
-            raise InputError("Nothing has been posed yet. Hint: call pose(state) first.")
+            raise InputError("Nothing has been posed yet. Hint: call pose(state) first.", code="H3-SIM-042")
         if not 0 <= agent < len(self._agents):
-            raise InputError(f"There are {len(self._agents)} agents, counted from 0; got {agent}.")
+            raise InputError(f"There are {len(self._agents)} agents, counted from 0; got {agent}.", code="H3-SIM-043")
         return self._frames[agent]
 
     def cameras(self, name: str = "", *, agent: int = 0, size: tuple[int, int] | None = None) -> list[Camera]:
@@ -321,7 +324,9 @@ class CameraSensor:
 
     def __post_init__(self) -> None:
         if self.depth_range_m is not None and not 0 <= self.depth_range_m[0] < self.depth_range_m[1] < float("inf"):
-            raise InputError(f"Expected a depth range (near, far) with 0 <= near < far, got {self.depth_range_m}.")
+            raise InputError(
+                f"Expected a depth range (near, far) with 0 <= near < far, got {self.depth_range_m}.", code="H3-SIM-044"
+            )
 
     def observe(self, drawn: StateRenderer) -> dict[str, Any]:
         """Pictures of all worlds as last posed, by output, each [W, H, W', ...]."""

@@ -26,7 +26,7 @@ try:
     import gymnasium
 except ImportError as error:
     raise MissingExtraError(
-        "Training environments need Gymnasium and PettingZoo. Hint: pip install 'h3data[env]'"
+        "Training environments need Gymnasium and PettingZoo. Hint: pip install 'h3data[env]'", code="H3-SIM-045"
     ) from error
 
 Arrays = dict[str, NDArray[Any]]
@@ -100,7 +100,8 @@ class ObservationSet:
             if drawn.shape != values[w].shape or not np.isfinite(drawn).all():
                 raise InputError(
                     f"The noise of {name} must keep the shape {list(values[w].shape)} and be finite, got "
-                    f"{list(drawn.shape)}."
+                    f"{list(drawn.shape)}.",
+                    code="H3-SIM-048",
                 )
             noisy[w] = drawn
         return noisy
@@ -121,8 +122,13 @@ def checked_names(
     """
     every = tuple(dict.fromkeys(name for each in known for name in each))
     if not isinstance(names, list | tuple) or not names or not all(name in every for name in names):
-        raise InputError(f"Expected a list of observations, some of: {', '.join(every)}. Got {names!r}.")
+        raise InputError(
+            f"Expected a list of observations, some of: {', '.join(every)}. Got {names!r}.", code="H3-SIM-046"
+        )
     strangers = sorted(set(noise) - set(names))
     if strangers:
-        raise InputError(f"Noise is for observations that are shown ({', '.join(names)}), not {', '.join(strangers)}.")
+        raise InputError(
+            f"Noise is for observations that are shown ({', '.join(names)}), not {', '.join(strangers)}.",
+            code="H3-SIM-047",
+        )
     return tuple(tuple(name for name in dict.fromkeys(names) if name in each) for each in known)

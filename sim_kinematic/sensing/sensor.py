@@ -233,7 +233,7 @@ def detect_humanoids(
     """
     mask = np.isin(np.asarray(ids), human)
     if mask.ndim < 2:
-        raise InputError(f"Expected pictures [..., H, W] of ids, got shape {list(mask.shape)}.")
+        raise InputError(f"Expected pictures [..., H, W] of ids, got shape {list(mask.shape)}.", code="H3-SIM-049")
     rows, columns = mask.any(-1), mask.any(-2)
     box = _but_last(rows)[..., :, None] & _but_last(columns)[..., None, :]
     found = mask.sum((-2, -1)) > more_than_pixels

@@ -118,7 +118,7 @@ def with_options(spec: Any, **options: Any) -> Any:
     """
     speed, walk = options.pop("human_speed", None), options.pop("human_walk", None)
     if walk not in (None, *WALKERS):
-        raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.")
+        raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.", code="H3-TASK-001")
     if walk is not None:
         spec = replace(spec, human=WALKERS[walk])
     if speed is not None:
@@ -127,7 +127,9 @@ def with_options(spec: Any, **options: Any) -> Any:
     for name in options:
         if name not in known:
             valid = [*known, "human_speed", "human_walk"]
-            raise InputError(f"Unknown rule {name!r}.{suggest(name, valid, lead='Expected some of')}")
+            raise InputError(
+                f"Unknown rule {name!r}.{suggest(name, valid, lead='Expected some of')}", code="H3-JOB-020"
+            )
     return replace(spec, **{name: value for name, value in options.items() if value is not None})
 
 
@@ -149,7 +151,7 @@ def rule_value(spec: Any, name: str, value: Any) -> Any:
     """
     there = [f.name for f in fields(spec) if type(getattr(spec, f.name)) in _RULE_KINDS]
     if name not in there:
-        raise InputError(f"Unknown rule {name!r}.{suggest(name, there)}")
+        raise InputError(f"Unknown rule {name!r}.{suggest(name, there)}", code="H3-JOB-020")
     now = getattr(spec, name)
     kind = type(now)
     if kind is float and type(value) is int:
@@ -161,7 +163,8 @@ def rule_value(spec: Any, name: str, value: Any) -> Any:
         given = value if isinstance(value, str) else json.dumps(value)
         shape = f" of length {len(now)}" if kind is tuple else ""
         raise InputError(
-            f"Expected the rule {name} to be {_RULE_KINDS[kind]}{shape}, as {name}={_as_text(now)}; got {given}."
+            f"Expected the rule {name} to be {_RULE_KINDS[kind]}{shape}, as {name}={_as_text(now)}; got {given}.",
+            code="H3-JOB-021",
         )
     return value
 

@@ -143,7 +143,9 @@ class WorldRollout:
             InputError: W is less than 1, or the rules allow no steps.
         """
         if spec.max_steps < 1:
-            raise InputError(f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.")
+            raise InputError(
+                f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.", code="H3-TASK-004"
+            )
         self.task, self.spec, self.measure, self.options = task, spec, measure, dict(options or {})
         self.world = World(
             roster, worlds=worlds, base=spec.robot, walker=spec.human, person_radius_m=spec.agent_radius_m,
@@ -188,7 +190,7 @@ class WorldRollout:
             InputError: no episode has begun, or the commands do not fit; then nothing has moved.
         """
         if not self.episodes:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
         self.world.step(commands)
         self._commands = list(commands)
         self.steps += 1
@@ -301,7 +303,9 @@ class WorldRollout:
             return RecordedPoseCommand(choice.xz[None], np.array([choice.heading]), posture)
         if not hasattr(choice, "forward"):
             who = self.world.roster[number].name
-            raise InputError(f"Expected {who} to choose a Velocity or WaypointAction, got {choice!r}.")
+            raise InputError(
+                f"Expected {who} to choose a Velocity or WaypointAction, got {choice!r}.", code="H3-TASK-069"
+            )
         return DriveCommand(np.array([[choice.forward, choice.turn]], np.float32).astype(np.float64))
 
     def finish(self) -> None:
@@ -386,17 +390,26 @@ def checked_outcome(task: Rules, outcome: Any, worlds: int) -> StepOutcome:
     """
     who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
     if not isinstance(outcome, StepOutcome):
-        raise H3DataError(f"{who} must return a StepOutcome, got {type(outcome).__name__}.")
+        raise H3DataError(f"{who} must return a StepOutcome, got {type(outcome).__name__}.", code="H3-TASK-068")
     for name in ("reward", "terminated", "success"):
         values = np.asarray(getattr(outcome, name))
         if values.shape != (worlds,):
-            raise H3DataError(f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.")
+            raise H3DataError(
+                f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.", code="H3-TASK-006"
+            )
         if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise H3DataError(f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.")
+            raise H3DataError(
+                f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.", code="H3-TASK-007"
+            )
     strange = sorted(set(outcome.columns) ^ set(task.columns))
     if strange:
-        raise H3DataError(f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.")
+        raise H3DataError(
+            f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.", code="H3-TASK-003"
+        )
     for name, values in outcome.columns.items():
         if np.shape(values)[:1] != (worlds,):
-            raise H3DataError(f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.")
+            raise H3DataError(
+                f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.",
+                code="H3-TASK-008",
+            )
     return outcome

@@ -43,9 +43,11 @@ def _find(name: str) -> Task:
 
 def _checked(made: Any, name: str) -> Task:
     if not isinstance(made, Task):
-        raise InputError(f"Expected {name!r} to name a subclass of sim_kinematic.tasks.task.Task, got {made!r}.")
+        raise InputError(
+            f"Expected {name!r} to name a subclass of sim_kinematic.tasks.task.Task, got {made!r}.", code="H3-TASK-031"
+        )
     if not made.name:
-        raise InputError(f"The task {name!r} has no name. Hint: set the class attribute name.")
+        raise InputError(f"The task {name!r} has no name. Hint: set the class attribute name.", code="H3-TASK-032")
     return made
 
 

@@ -75,11 +75,16 @@ def require_kept(
     """
     done = len(simulated["time_ns"])
     if done < step:
-        raise InputError(f"The steps before {step} do not come out again: simulated, it ended at {done} ({ended}).")
+        raise InputError(
+            f"The steps before {step} do not come out again: simulated, it ended at {done} ({ended}).",
+            code="H3-TASK-033",
+        )
     kept = {name: array[:step] for name, array in recording.columns.items()}
     found = first_difference(kept, simulated, names)
     if found is not None:
-        raise InputError(f"The recorded steps do not come out again, so nothing can follow them: {found}.")
+        raise InputError(
+            f"The recorded steps do not come out again, so nothing can follow them: {found}.", code="H3-TASK-034"
+        )
 
 
 def require_step(recording: Recording, step: int) -> None:
@@ -89,7 +94,9 @@ def require_step(recording: Recording, step: int) -> None:
         InputError: the recording has fewer steps, or ``step`` is negative.
     """
     if not 0 <= step <= len(recording):
-        raise InputError(f"Expected a step from 0 to {len(recording)}, the number of recorded steps, got {step}.")
+        raise InputError(
+            f"Expected a step from 0 to {len(recording)}, the number of recorded steps, got {step}.", code="H3-TASK-035"
+        )
 
 
 def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable[str] = ()) -> None:
@@ -102,7 +109,7 @@ def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable
     lacks += ["scene.glb"] if "scene.glb" not in recording.attachments else []
     lacks += [name for name in columns if name not in recording.columns]
     if lacks:
-        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023")
 
 
 def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str] | None = None) -> Difference | None:

@@ -58,7 +58,8 @@ def task_of(recording: Recording) -> Task:
         known = ", ".join(task_registry().names())
         raise InputError(
             f"Only recordings of {known} and of installed tasks can be simulated again, this one is of the task {name!r}: "
-            f"{fault} Hint: h3data validate checks any recording."
+            f"{fault} Hint: h3data validate checks any recording.",
+            code="H3-TASK-038",
         ) from None
 
 
@@ -97,7 +98,10 @@ def resume(
     chosen = {**_by_kind(policy, partner), **(agents or {})}
     if is_counterfactual(recording):
         if any(KINDS.get(key, "human") == "human" for key in chosen):
-            raise InputError("People of a counterfactual recording keep their tracks. Hint: leave out the partner.")
+            raise InputError(
+                "People of a counterfactual recording keep their tracks. Hint: leave out the partner.",
+                code="H3-TASK-039",
+            )
         return _continued(recording, step, chosen, keeps_people=True)
     return _continued(recording, step, chosen, keeps_people=False)
 
@@ -112,7 +116,8 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
     """
     if {agent.kind for agent in recording.agents} != {"robot", "human"}:
         raise InputError(
-            "Expected a recording of robots and people: people keep their tracks, robots follow the policy."
+            "Expected a recording of robots and people: people keep their tracks, robots follow the policy.",
+            code="H3-TASK-036",
         )
     return _continued(recording, step, _by_kind(policy, None), keeps_people=True)
 
@@ -208,7 +213,8 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
     if recording.episode.is_lerobot_export:
         raise InputError(
             "Demonstrations exported to LeRobot cannot be simulated again, or verified: they lack the last row of each episode "
-            "and the simulator's own columns. Hint: use the dataset that they were exported from."
+            "and the simulator's own columns. Hint: use the dataset that they were exported from.",
+            code="H3-TASK-037",
         )
     task = task_of(recording)
     require(recording, columns=task.needed_columns(recording))
@@ -248,7 +254,7 @@ def _assigned(
             if strict and not (keeps_people and member.kind == "human"):
                 entry = "policy" if member.kind == "robot" else "partner"
                 raise InputError(
-                    f"The recording's own {entry} is not at hand; name one with {entry}=. {fault}"
+                    f"The recording's own {entry} is not at hand; name one with {entry}=. {fault}", code="H3-TASK-040"
                 ) from None
             result.append(AssignedPolicy(None, named[k], member.kind))
     return result

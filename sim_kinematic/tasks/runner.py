@@ -216,7 +216,7 @@ class Session:
         """
         name = agent if agent in self._numbers else agent.replace("person", "human", 1)
         if name not in self._numbers:
-            raise InputError(f"Nobody is called {agent!r}.{suggest(agent, self._numbers)}")
+            raise InputError(f"Nobody is called {agent!r}.{suggest(agent, self._numbers)}", code="H3-TASK-045")
         return self._numbers[name]
 
     @property
@@ -263,7 +263,9 @@ class Session:
         number = self.number(agent)
         if number not in self._inboxes:
             name = self.policies[number].name
-            raise InputError(f"{agent} follows the policy {name}. Hint: give it External() to control it.")
+            raise InputError(
+                f"{agent} follows the policy {name}. Hint: give it External() to control it.", code="H3-TASK-046"
+            )
         return number, self._inboxes[number]
 
     def step(self) -> StepResult:
@@ -276,7 +278,10 @@ class Session:
             InputError: the episode is over.
         """
         if self.ended:
-            raise InputError(f"The episode has ended ({self.play.ended}). Hint: session.close() gives its recording.")
+            raise InputError(
+                f"The episode has ended ({self.play.ended}). Hint: session.close() gives its recording.",
+                code="H3-TASK-047",
+            )
         if self._turns is None:
             self._turns = DecisionLoop(self.play)
         else:  # only now: a command that has come since may interrupt a running skill

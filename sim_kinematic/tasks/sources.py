@@ -137,7 +137,7 @@ def scene_sources(scenes: Scenes) -> list[Scene | SceneSource]:
         elif isinstance(one, str | os.PathLike):
             sources += [named.source for named in named_scenes(os.fspath(one))]
         else:
-            raise InputError(f"Expected scenes as names or Scene, got {type(one).__name__}.")
+            raise InputError(f"Expected scenes as names or Scene, got {type(one).__name__}.", code="H3-TASK-059")
     if not sources:
-        raise InputError("Expected at least one scene, got none.")
+        raise InputError("Expected at least one scene, got none.", code="H3-TASK-058")
     return sources

@@ -152,7 +152,7 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         del seed
         record = read_info_block(entry, self._task, TaskRecord)
         if record is not None and not np.isfinite(np.array(record.starts, np.float64)).all():
-            raise InputError(f"Expected finite starts, got {record.starts}.")
+            raise InputError(f"Expected finite starts, got {record.starts}.", code="H3-TASK-061")
         return record
 
     def rules(self, record: TaskRecord) -> Any:
@@ -175,7 +175,9 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         self._check_roster(roster)
         starts = np.array(record.starts, np.float64).reshape(-1, 3)
         if len(starts) != len(roster):
-            raise InputError(f"The episode has starts for {len(starts)} agents, agents= names {len(roster)}.")
+            raise InputError(
+                f"The episode has starts for {len(starts)} agents, agents= names {len(roster)}.", code="H3-TASK-062"
+            )
         starts = starts_on_floor(place.free, record.starts)
         return Episode(
             scene=place.scene,
@@ -197,11 +199,14 @@ def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> An
     try:
         spec = msgspec.convert({"robot": {}, "human": {}, **defaults, **rules}, kind)
     except (msgspec.ValidationError, InputError) as fault:
-        raise InputError(f"The rules of the episode cannot be used: {str(fault).replace('`', '')}") from None
+        raise InputError(
+            f"The rules of the episode cannot be used: {str(fault).replace('`', '')}", code="H3-TASK-052"
+        ) from None
     if not 1 <= spec.max_steps <= MAX_STEPS or not 0 < spec.human.speed_mps <= 4:
         raise InputError(
             f"The rules of the episode cannot be used: expected max_steps from 1 and a walking speed above 0 and at most "
-            f"4 m/s, got {spec.max_steps} and {spec.human.speed_mps}."
+            f"4 m/s, got {spec.max_steps} and {spec.human.speed_mps}.",
+            code="H3-TASK-049",
         )
     return spec
 
@@ -219,6 +224,7 @@ def starts_on_floor(free: FreeSpace, starts: Sequence[Start]) -> Array:
     if np.isnan(places).any():
         raise SceneError(
             "Starts of the episode are not on the free floor of this scene. Expected the scene for which the episode was "
-            "made."
+            "made.",
+            code="H3-TASK-060",
         )
     return places

@@ -74,7 +74,7 @@ class Task:
     def __init_subclass__(cls) -> None:
         for old, new in _RENAMED.items():
             if old in vars(cls):  # it would never be called
-                raise H3DataError(f"The method {cls.__name__}.{old} of a task is called {new} now.")
+                raise H3DataError(f"The method {cls.__name__}.{old} of a task is called {new} now.", code="H3-TASK-070")
         if "name" not in vars(cls):
             cls.name = "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
 
@@ -232,9 +232,9 @@ class Task:
         if not hasattr(choice, "forward") and np.shape(choice) == (2,):
             choice = Velocity(float(choice[0]), float(choice[1]))
         if not (hasattr(choice, "forward") and hasattr(choice, "turn")):
-            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.")
+            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.", code="H3-TASK-064")
         if not np.isfinite([choice.forward, choice.turn]).all():
-            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.")
+            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.", code="H3-TASK-065")
         return choice
 
     def idle_choice(self, play: Rollout, number: int, last: Any) -> Any:
@@ -396,7 +396,8 @@ class Task:
             elif policy is None:
                 raise InputError(
                     f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
-                    "from outside: nothing says how they decided."
+                    "from outside: nothing says how they decided.",
+                    code="H3-TASK-066",
                 )
             policies.append(assigned._replace(policy=policy))
         return policies
@@ -451,20 +452,26 @@ def restored(task: Task, recording: Recording, scene: Callable[[float, float], t
     info, agents = recording.episode.info, recording.agents
     lacks = [name for name in ("spec", "starts") if name not in info]
     if lacks:
-        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023")
     try:
         spec = msgspec.convert({"robot": {}, "human": {}, **info["spec"]}, task.Spec)
         starts = np.array(msgspec.convert(info["starts"], list[tuple[float, float, float]]), np.float64)
     except (msgspec.ValidationError, TypeError) as fault:
-        raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
+        raise InputError(
+            f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
+        ) from None
     if not 0 < spec.max_steps <= MAX_STEPS:
-        raise InputError(f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.")
+        raise InputError(
+            f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.", code="H3-TASK-063"
+        )
     roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
     if [member.kind for member in roster] != [agent.kind for agent in agents]:
-        raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.")
+        raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.", code="H3-TASK-024")
     home, free = scene(spec.agent_radius_m, spec.agent_height_m)
     if starts.shape != (len(agents), 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
-        raise InputError(f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.")
+        raise InputError(
+            f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.", code="H3-TASK-027"
+        )
     return Episode(
         scene=home,
         free=free,

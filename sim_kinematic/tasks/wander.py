@@ -117,5 +117,7 @@ class Wander(Task):
         """
         if chosen:
             what = "policy" if "robot" in chosen else "partner"
-            raise InputError(f"Nobody in recordings of wander follows a {what}. Hint: leave it out.")
+            raise InputError(
+                f"Nobody in recordings of wander follows a {what}. Hint: leave it out.", code="H3-TASK-067"
+            )
         return chosen

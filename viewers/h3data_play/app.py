@@ -130,7 +130,7 @@ def sentence_of(words: str) -> str:
 
 def _require_app(found: Any) -> None:
     if not (isinstance(found, type) and issubclass(found, App) and found.task):
-        raise InputError("Expected a subclass of h3data_play.app.App that names its task.")
+        raise InputError("Expected a subclass of h3data_play.app.App that names its task.", code="H3-PLAY-001")
 
 
 _APPS: Registry[Any] = Registry(

@@ -90,7 +90,7 @@ class Driver:
         if isinstance(message, GoTo):
             self.interrupt()
             return self.go(message.p[::2])
-        raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.")
+        raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.", code="H3-PLAY-013")
 
     def release(self) -> None:
         """The player is gone: keys go up. The world stands still meanwhile, so skills and walks may go on later."""
@@ -172,7 +172,7 @@ class SkillDriver(Driver):
         if isinstance(message, Pick):
             names = self.objects.names
             if message.o >= len(names):
-                raise InputError(f"There is no object {message.o}. Expected 0 to {len(names) - 1}.")
+                raise InputError(f"There is no object {message.o}. Expected 0 to {len(names) - 1}.", code="H3-PLAY-017")
             if why := self.barred(message.o, message.lead):
                 return why
             pick = Action("pick", message.o)
@@ -185,7 +185,7 @@ class SkillDriver(Driver):
             return self.do([self.drop()])
         if isinstance(message, Give):
             if message.a >= len(self.session.episode.roster):
-                raise InputError(f"There is no agent {message.a}.")
+                raise InputError(f"There is no agent {message.a}.", code="H3-PLAY-018")
             return self.do([self.give(message.a)])
         return super().follow(message)
 
@@ -211,7 +211,7 @@ class SkillDriver(Driver):
         """Opens or closes a door or drawer."""
         names = self.objects.joints
         if message.j >= len(names):
-            raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.")
+            raise InputError(f"There is no door or drawer {message.j}; the home has {len(names)}.", code="H3-PLAY-016")
         if self.objects.held(self.number) >= 0:
             return sentence("hand_full")
         openables = self.session.play.openables  # type: ignore[attr-defined]
@@ -250,12 +250,12 @@ class SkillDriver(Driver):
 
     def drop(self) -> Any:
         """The command that lets go."""
-        raise InputError("The robot does not drop things.")
+        raise InputError("The robot does not drop things.", code="H3-PLAY-014")
 
     def give(self, agent: int) -> Any:
         """The command that hands over."""
         del agent
-        raise InputError("The robot does not hand things over.")
+        raise InputError("The robot does not hand things over.", code="H3-PLAY-015")
 
     def interrupt(self) -> None:
         """Stops walking, cancels the running skill and drops all that are queued."""
@@ -332,7 +332,7 @@ class PersonDriver(SkillDriver):
             if message.p is None:
                 self.hands.pop(message.side, None)
             elif message.q is not None and np.linalg.norm(message.q) < 1e-3:
-                raise InputError("Expected a quaternion other than zero for a hand.")
+                raise InputError("Expected a quaternion other than zero for a hand.", code="H3-PLAY-019")
             else:
                 self.hands[message.side] = HandTarget(message.p, message.q)
             return ""

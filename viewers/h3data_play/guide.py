@@ -71,7 +71,7 @@ class Guide:
         if len(path) == 0:  # what was clicked on lies on an island of the floor, or in the middle of something large
             path = free.path(xz, _nearest_reachable(free, xz, goal))
         if len(path) == 0:
-            raise InputError("No path leads there.")
+            raise InputError("No path leads there.", code="H3-PLAY-020")
         return cls(free, base, path[-1], list(path[1:]), heading)
 
     def velocity(self, xz: Array, heading: float) -> tuple[float, float] | None:

@@ -135,7 +135,9 @@ class EpisodeFactory:
             nth = self.plan.players[:k].count(seat)
             agents = [number for number, member in enumerate(self.roster) if member == kind]
             if nth >= len(agents):
-                raise InputError(f"Nobody can play as the {seat}: {self.plan.app} has {', '.join(self.roster)}.")
+                raise InputError(
+                    f"Nobody can play as the {seat}: {self.plan.app} has {', '.join(self.roster)}.", code="H3-PLAY-022"
+                )
             numbers.append(agents[nth])
         return tuple(numbers)
 
@@ -402,7 +404,8 @@ class LiveGame:
         rows = self.session.recorder.columns()["state_hash"] if len(recording) else np.zeros(0)
         if len(recording) and not np.array_equal(rows, recording.columns["state_hash"]):
             raise H3DataError(
-                "What was played does not come out again from its raw input: was h3data updated meanwhile?"
+                "What was played does not come out again from its raw input: was h3data updated meanwhile?",
+                code="H3-PLAY-021",
             )
 
     def _take_again(self, event: InputEvent) -> None:

@@ -73,7 +73,8 @@ def require_safe(options: ServeOptions) -> None:
         return
     raise Refused(
         f"On the address {options.host} others on the network could listen in. Give --cert and --key (TLS), or "
-        "--behind-proxy if a proxy in front of this server does TLS; without --host only this machine is served."
+        "--behind-proxy if a proxy in front of this server does TLS; without --host only this machine is served.",
+        code="H3-PLAY-023",
     )
 
 
@@ -87,7 +88,7 @@ def certificate_names(cert: str) -> list[str]:
         # what the ssl module shows of a certificate that it has not verified; it has no public name
         found = ssl._ssl._test_decode_cert(cert)  # type: ignore[attr-defined]
     except (ssl.SSLError, OSError) as fault:
-        raise Refused(f"Expected a certificate in PEM format, got {cert} ({fault}).") from None
+        raise Refused(f"Expected a certificate in PEM format, got {cert} ({fault}).", code="H3-PLAY-024") from None
     return [name for kind, name in found.get("subjectAltName", ()) if kind == "DNS"]
 
 
@@ -145,7 +146,9 @@ async def _listen(front: WebServer, runner: web.AppRunner, options: ServeOptions
     try:
         await site.start()
     except OSError as fault:
-        raise Refused(f"Port {options.port} cannot be used ({fault.strerror}). Choose another with --port.") from None
+        raise Refused(
+            f"Port {options.port} cannot be used ({fault.strerror}). Choose another with --port.", code="H3-PLAY-025"
+        ) from None
     port = runner.addresses[0][1]
     host = f"[{options.host}]" if ":" in options.host else options.host
     base = f"{'https' if tls else 'http'}://{host}:{port}"

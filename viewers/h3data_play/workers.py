@@ -79,7 +79,9 @@ class WorkerProcess:
                 else:
                     self._heard(self, kind, key, body)
         if not self.ready.done():
-            self.ready.set_exception(Refused("A worker process ended while it started; its message is above."))
+            self.ready.set_exception(
+                Refused("A worker process ended while it started; its message is above.", code="H3-PLAY-026")
+            )
         self._lost(self)
 
     def send(self, kind: str, key: str, body: Any) -> None:

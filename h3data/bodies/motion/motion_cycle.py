@@ -68,9 +68,12 @@ def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: floa
         InputError: the motion is shorter than ``min_s``.
     """
     if not 0 < min_s < max_s:
-        raise InputError(f"Expected 0 < min_s < max_s, got {min_s} and {max_s}.")
+        raise InputError(f"Expected 0 < min_s < max_s, got {min_s} and {max_s}.", code="H3-BODY-043")
     if motion.duration_s < min_s:
-        raise InputError(f"Motion {motion.name!r} lasts {motion.duration_s:.2f} s; a cycle needs at least {min_s} s.")
+        raise InputError(
+            f"Motion {motion.name!r} lasts {motion.duration_s:.2f} s; a cycle needs at least {min_s} s.",
+            code="H3-BODY-044",
+        )
     searched = motion if motion.fps <= SEARCH_FPS else motion.resampled(SEARCH_FPS)
     features = _features(searched, body)
     first, last = max(2, round(min_s * searched.fps)), min(round(max_s * searched.fps), len(searched) - 1)

@@ -122,18 +122,22 @@ def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
     """
     if clip.speed_mps <= 0 or clip.stride_m < LEAST_STRIDE_M:
         gets = f"{clip.stride_m if clip.speed_mps > 0 else 0:.2f} m in its best cycle of {clip.period_s:.2f} s"
-        raise InputError(f"Motion {clip.name!r}: expected somebody who walks, this one gets {gets}.")
+        raise InputError(
+            f"Motion {clip.name!r}: expected somebody who walks, this one gets {gets}.", code="H3-BODY-054"
+        )
     if not SPEEDS_MPS[0] <= clip.speed_mps <= SPEEDS_MPS[1]:
         raise InputError(
             f"Motion {clip.name!r}: expected a walk of {SPEEDS_MPS[0]} to {SPEEDS_MPS[1]} m/s, this is one of "
-            f"{clip.speed_mps:.2f} m/s. Hint: is the unit of the file right (--unit-m of h3data motion import)?"
+            f"{clip.speed_mps:.2f} m/s. Hint: is the unit of the file right (--unit-m of h3data motion import)?",
+            code="H3-BODY-055",
         )
     quats, pelvis, ankle = _in_body_frame(clip)
     front = quat_rotate(quats[:, 0], np.array([0.0, 0, 1])).mean(axis=0)
     if front[2] < 0.8 * np.hypot(front[0], front[2]):
         raise InputError(
             f"Motion {clip.name!r}: expected somebody who walks where they face, this one goes "
-            f"{np.degrees(np.arctan2(abs(front[0]), front[2])):.0f} degrees off it."
+            f"{np.degrees(np.arctan2(abs(front[0]), front[2])):.0f} degrees off it.",
+            code="H3-BODY-056",
         )
     half = _right_strike(ankle, clip.name)
     quats, pelvis, ankle, pitch = (_warped(a, half) for a in (quats, pelvis, ankle, clip.foot[:, :, 0]))
@@ -146,7 +150,8 @@ def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
     tilt = float(np.median(pitch[flat]))
     if abs(tilt) > TILT_DEG:
         raise InputError(
-            f"Motion {clip.name!r}: expected feet that lie flat in mid-stance, they are tilted by {tilt:.0f} degrees."
+            f"Motion {clip.name!r}: expected feet that lie flat in mid-stance, they are tilted by {tilt:.0f} degrees.",
+            code="H3-BODY-057",
         )
     pitch = _smoothed(pitch - tilt)
     pitch = np.sign(pitch) * np.maximum(np.abs(pitch) - LEVEL_DEG, 0)
@@ -210,7 +215,8 @@ def _right_strike(ankle: Array, name: str) -> float:
     if not HALF[0] <= half <= HALF[1] or max(alike) < 0.7 * float(np.dot(left, left)):
         raise InputError(
             f"Motion {name!r}: expected left and right steps in turn, the right foot does what the left one does "
-            f"{half:.2f} cycles later."
+            f"{half:.2f} cycles later.",
+            code="H3-BODY-058",
         )
     return half
 
@@ -293,5 +299,6 @@ def _refuse_twitches(body: Humanoid, name: str) -> None:
         joint = list(JOINT_INDEX)[_SEEN[int(moved.max(axis=0).argmax())]]
         raise InputError(
             f"Motion {name!r}: expected joints that move smoothly, {joint} jumps by {100 * moved.max():.0f} cm in 1/30 s. "
-            "Hint: clean the capture, or take another part of it."
+            "Hint: clean the capture, or take another part of it.",
+            code="H3-BODY-059",
         )

@@ -117,7 +117,10 @@ def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResul
     solver = reacher(body, hand)
     point = _points(target)
     if point.shape != (3,):
-        raise InputError(f"Expected one target of shape [3], got {list(point.shape)}. Hint: reach_poses takes many.")
+        raise InputError(
+            f"Expected one target of shape [3], got {list(point.shape)}. Hint: reach_poses takes many.",
+            code="H3-BODY-080",
+        )
     poses = solver.poses(point[None])
     if poses.status[0] == kernel.REACHED:
         return ReachResult(
@@ -160,7 +163,7 @@ def grasp_point(body: Humanoid, hand: Hand) -> Array:
 def reacher(body: Humanoid, hand: Hand = "right") -> ReachSolver:
     """The solver of one hand, made once per body (5 ms)."""
     if hand not in HANDS:
-        raise InputError(f"Expected the left or the right hand, got {hand!r}.")
+        raise InputError(f"Expected the left or the right hand, got {hand!r}.", code="H3-BODY-081")
     return ReachSolver(body, hand)
 
 
@@ -187,7 +190,8 @@ def reach_table() -> Table:
     values = (data["values"] * data["unit"]).astype(np.float32)
     if values.ndim != 4 or values.shape[3] != kernel.PARAMETER_COUNT:
         raise FormatError(
-            f"The table of reaching postures has the shape {list(values.shape)}. Hint: bake it. File: {path}"
+            f"The table of reaching postures has the shape {list(values.shape)}. Hint: bake it. File: {path}",
+            code="H3-BODY-082",
         )
     return Table(values, data["low"].astype(np.float64), data["step"].astype(np.float64))
 
@@ -230,7 +234,10 @@ class ReachSolver:
             points = np.stack([points[:, 2], points[:, 1], -points[:, 0]], axis=1)
             self._valid = points[self.reachable(points)]
             if not len(self._valid):
-                raise InputError("This body reaches nothing with this hand. Hint: are its joint offsets in metres?")
+                raise InputError(
+                    "This body reaches nothing with this hand. Hint: are its joint offsets in metres?",
+                    code="H3-BODY-084",
+                )
         return self._valid
 
     def nearest_valid(self, target: Array) -> Array:
@@ -279,7 +286,10 @@ def _each(share: ArrayLike, count: int) -> Array:
 def _points(targets: ArrayLike) -> Array:
     points = np.asarray(targets, np.float64)
     if points.ndim not in (1, 2) or points.shape[-1] != 3 or not np.isfinite(points).all():
-        raise InputError(f"Expected finite points of shape [3] or [T, 3], got shape {list(points.shape)}: {targets!r}")
+        raise InputError(
+            f"Expected finite points of shape [3] or [T, 3], got shape {list(points.shape)}: {targets!r}",
+            code="H3-BODY-083",
+        )
     return points
 
 

@@ -93,11 +93,12 @@ def _decoded(path: Path, *version: int) -> RobotSettings:
     try:
         settings = msgspec.toml.decode(path.read_bytes(), type=RobotSettings)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise FormatError(f"Not a robot description: {error}. File: {path}") from error
+        raise FormatError(f"Not a robot description: {error}. File: {path}", code="H3-BODY-111") from error
     broken = [name for name, value in msgspec.to_builtins(settings).items() if not _finite(value)]
     if broken:
         raise FormatError(
-            f"Expected finite numbers in a robot description, got nan or inf in {', '.join(broken)}. File: {path}"
+            f"Expected finite numbers in a robot description, got nan or inf in {', '.join(broken)}. File: {path}",
+            code="H3-BODY-109",
         )
     return settings
 
@@ -131,7 +132,9 @@ def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
     if not settings.base_discs_m or settings.base_radius_m <= 0 or not all(settings.base_profiles.values()):
         faults.append("the base has no discs")
     if faults:
-        raise FormatError(f"The robot description does not fit its URDF: {'; '.join(faults[:8])}. File: {path}")
+        raise FormatError(
+            f"The robot description does not fit its URDF: {'; '.join(faults[:8])}. File: {path}", code="H3-BODY-110"
+        )
     return settings
 
 

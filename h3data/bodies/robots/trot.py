@@ -69,7 +69,8 @@ def trot(
     if bases.ndim != 2 or bases.shape[1] != 7 or out.shape != (len(bases), len(robot.joint_names)):
         raise InputError(
             f"Expected a base track [T, 7] and joint positions [T, {len(robot.joint_names)}] of {robot.name}, got "
-            f"{list(bases.shape)} and {list(out.shape)}."
+            f"{list(bases.shape)} and {list(out.shape)}.",
+            code="H3-BODY-112",
         )
     if not robot.legs:
         return out

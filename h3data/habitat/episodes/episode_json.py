@@ -71,7 +71,7 @@ class Notes:
     def add(self, what: str, where: str) -> None:
         """Counts an oddity, with the first place where it occurs; with ``strict`` it is a `FormatError`."""
         if self.strict:
-            raise FormatError(f"{where}: {what}: {self.path}")
+            raise FormatError(f"{where}: {what}: {self.path}", code="H3-HABITAT-018")
         count, first = self.found.get(what, (0, f"{where} in {self.path.name}"))
         self.found[what] = (count + 1, first)
 
@@ -118,10 +118,10 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
     try:
         found = _OBJECT.decode(raw)
     except (msgspec.DecodeError, UnicodeDecodeError) as fault:
-        raise FormatError(f"{where}: {_reworded(fault)}: {path}") from None
+        raise FormatError(f"{where}: {_reworded(fault)}: {path}", code="H3-HABITAT-019") from None
     missing = [key for key in ("episode_id", "scene_id") if key not in found]
     if missing:
-        raise FormatError(f"{where} lacks {' and '.join(missing)}: {path}")
+        raise FormatError(f"{where} lacks {' and '.join(missing)}: {path}", code="H3-HABITAT-013")
     values: dict[str, Any] = {}
     extra: dict[str, Any] = {}
     for key, text in found.items():
@@ -132,9 +132,9 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
             else:
                 values[key] = decoder.decode(text)
         except (msgspec.DecodeError, UnicodeDecodeError) as fault:
-            raise FormatError(f"{_located(where, key, fault, text)}: {path}") from None
+            raise FormatError(f"{_located(where, key, fault, text)}: {path}", code="H3-HABITAT-023") from None
         except RecursionError:
-            raise FormatError(f"{where}.{key} is nested too deeply: {path}") from None
+            raise FormatError(f"{where}.{key} is nested too deeply: {path}", code="H3-HABITAT-024") from None
     absent = _shared(frozenset(KEYS.keys() - values.keys()))
     objects = values.pop("rigid_objs", ())
     targets = values.pop("targets", {})
@@ -193,20 +193,24 @@ def _no_twins(text: msgspec.Raw, targets: dict[str, Any], where: str, path: Path
     pairs = json.loads(raw, object_pairs_hook=lambda pairs: pairs)
     twins = [handle for handle, count in Counter(handle for handle, _ in pairs).items() if count > 1]
     if twins:
-        raise FormatError(f"{where} has the handle {twins[0]!r} twice. Hint: which goal is right? {path}")
+        raise FormatError(
+            f"{where} has the handle {twins[0]!r} twice. Hint: which goal is right? {path}", code="H3-HABITAT-014"
+        )
 
 
 def _check_labels(labels: Any, where: str, path: Path) -> None:
     if labels is None:
         return
     if not isinstance(labels, dict) or not all(isinstance(label, str) for label in labels.values()):
-        raise FormatError(f"{where}: Expected an object of names by handle: {path}")
+        raise FormatError(f"{where}: Expected an object of names by handle: {path}", code="H3-HABITAT-015")
 
 
 def _marker(content: dict[str, Any], where: str, path: Path) -> Marker:
     params = content.get("params")
     if not isinstance(params, dict):
-        raise FormatError(f"{where}.params: Expected an object with offset, link and object: {path}")
+        raise FormatError(
+            f"{where}.params: Expected an object with offset, link and object: {path}", code="H3-HABITAT-016"
+        )
     extra = {key: value for key, value in content.items() if key not in ("name", "type", "params")}
     unknown = {key: value for key, value in params.items() if key not in ("offset", "link", "object")}
     if unknown:
@@ -215,7 +219,7 @@ def _marker(content: dict[str, Any], where: str, path: Path) -> Marker:
     try:
         return msgspec.convert({**known, **{key: params.get(key) for key in ("offset", "link", "object")}}, Marker)
     except msgspec.ValidationError as fault:
-        raise FormatError(f"{_located(where, '', fault)}: {path}") from None
+        raise FormatError(f"{_located(where, '', fault)}: {path}", code="H3-HABITAT-020") from None
 
 
 def _located(where: str, key: str, fault: Exception, text: msgspec.Raw | None = None) -> str:
@@ -250,11 +254,13 @@ def encode_episode(episode: RearrangeEpisode, *, where: str = "episode") -> byte
     names = [key for key in KEYS if key not in episode.absent]
     clash = set(names) & set(episode.extra)
     if clash:
-        raise InputError(f"{where}: extra must not hold {sorted(clash)}, which are fields of the record")
+        raise InputError(
+            f"{where}: extra must not hold {sorted(clash)}, which are fields of the record", code="H3-HABITAT-017"
+        )
     matrices = [thing.matrix for thing in episode.rigid_objects] + list(episode.targets.values())
     for matrix in matrices:
         if np.shape(matrix) != (4, 4) or not np.isfinite(matrix).all():
-            raise InputError(f"{where}: Expected finite matrices of shape [4, 4], got\n{matrix}")
+            raise InputError(f"{where}: Expected finite matrices of shape [4, 4], got\n{matrix}", code="H3-HABITAT-021")
     content = {key: getattr(episode, _FIELDS.get(key, key)) for key in names}
     content |= {
         key: made(content[key])
@@ -289,4 +295,4 @@ def encode_json(content: Any, where: str) -> bytes:
     try:
         return json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
     except (ValueError, TypeError, RecursionError) as fault:
-        raise InputError(f"{where} cannot be written as JSON: {fault}") from None
+        raise InputError(f"{where} cannot be written as JSON: {fault}", code="H3-HABITAT-022") from None

@@ -55,7 +55,8 @@ def scene_of_episode(
     )
     raise SceneError(
         f"Cannot find the scene {episode.scene_id!r} of episode {episode.episode_id!r}: {why}there is no file {named} in "
-        f"{folder} or above it, in the working directory, or below the folders of assets= and H3DATA_ASSETS."
+        f"{folder} or above it, in the working directory, or below the folders of assets= and H3DATA_ASSETS.",
+        code="H3-HABITAT-032",
     )
 
 

@@ -70,11 +70,12 @@ def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
             msgspec.convert(p.args, _Arguments) if p.function_name in ON_FURNITURE else None for p in propositions
         ]
     except msgspec.ValidationError as fault:
-        raise FormatError(f"{where}: {PROPOSITIONS}: {str(fault).replace('`', '')}") from None
+        raise FormatError(f"{where}: {PROPOSITIONS}: {str(fault).replace('`', '')}", code="H3-HABITAT-035") from None
     others = sorted({p.function_name for p in propositions} - {*ON_FURNITURE})
     if others:
         raise InputError(
-            f"{where} asks for {', '.join(others)}, which h3data does not play. It plays {' and '.join(ON_FURNITURE)}."
+            f"{where} asks for {', '.join(others)}, which h3data does not play. It plays {' and '.join(ON_FURNITURE)}.",
+            code="H3-HABITAT-033",
         )
     chosen: dict[str, tuple[str, ...]] = {}
     for asked in arguments:
@@ -82,14 +83,18 @@ def placements_of(episode: RearrangeEpisode) -> tuple[Placement, ...] | None:
         if not 1 <= asked.number <= len(asked.object_handles) or not asked.receptacle_handles:
             raise InputError(
                 f"{where}: a proposition asks for {asked.number} of {len(asked.object_handles)} objects on "
-                f"{len(asked.receptacle_handles)} pieces of furniture."
+                f"{len(asked.receptacle_handles)} pieces of furniture.",
+                code="H3-HABITAT-036",
             )
         free = [name for name in dict.fromkeys(asked.object_handles) if name not in chosen]
         if len(free) < asked.number:
-            raise InputError(f"{where} moves {asked.object_handles[0]!r} more than once, which h3data does not play.")
+            raise InputError(
+                f"{where} moves {asked.object_handles[0]!r} more than once, which h3data does not play.",
+                code="H3-HABITAT-037",
+            )
         on = asked.receptacle_handles[:1] if asked.is_same_receptacle else asked.receptacle_handles
         chosen |= dict.fromkeys(free[: asked.number], tuple(on))
     if not chosen:
-        raise InputError(f"{where} has no propositions, so there is nothing to rearrange.")
+        raise InputError(f"{where} has no propositions, so there is nothing to rearrange.", code="H3-HABITAT-034")
     on = episode.name_to_receptacle
     return tuple(Placement(object=name, receptacles=to, source=on.get(name, "")) for name, to in chosen.items())

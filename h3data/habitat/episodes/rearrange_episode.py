@@ -173,5 +173,7 @@ def is_rigid(matrices: Matrix) -> NDArray[np.bool_]:
 
 def _pose(matrix: Matrix, what: str) -> NDArray[np.float64]:
     if not is_rigid(matrix):
-        raise InputError(f"Expected a rotation and a translation, the matrix of {what} is none:\n{matrix}")
+        raise InputError(
+            f"Expected a rotation and a translation, the matrix of {what} is none:\n{matrix}", code="H3-HABITAT-038"
+        )
     return pose_from_matrix(np.asarray(matrix, np.float64)).astype(np.float64)

@@ -98,12 +98,15 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
     info = recording.episode.info
     name = recording.episode.episode_id
     if recording.episode.task != TASK:
-        raise InputError(f"Expected a recording of social_nav, {name!r} is one of {recording.episode.task!r}.")
+        raise InputError(
+            f"Expected a recording of social_nav, {name!r} is one of {recording.episode.task!r}.", code="H3-HABITAT-039"
+        )
     robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
     humans = [k for k, agent in enumerate(recording.agents) if agent.kind == "human"]
     if len(robots) != 1 or len(humans) != 1 or not len(recording):
         raise InputError(
-            f"Expected one robot, one human and some steps, {name!r} has {len(robots)}, {len(humans)}, {len(recording)}."
+            f"Expected one robot, one human and some steps, {name!r} has {len(robots)}, {len(humans)}, {len(recording)}.",
+            code="H3-HABITAT-040",
         )
     goals, within = _goals(recording, humans[0])
     floor_y = float(recording.agent_column(robots[0], "base_pose")[0, 1])
@@ -128,7 +131,9 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
             SocialNavEpisode,
         )
     except (msgspec.ValidationError, TypeError, ValueError) as fault:
-        raise InputError(f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}") from None
+        raise InputError(
+            f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}", code="H3-HABITAT-043"
+        ) from None
     _require_finite(nav)
     return nav
 
@@ -148,14 +153,16 @@ def _goals(recording: Recording, human: int) -> tuple[Any, float]:
         point = _POINT.fullmatch(event.detail)
         if point is None:
             raise InputError(
-                f"Expected a point like (1.20, -3.40) in the event of step {event.step}, got {event.detail!r}."
+                f"Expected a point like (1.20, -3.40) in the event of step {event.step}, got {event.detail!r}.",
+                code="H3-HABITAT-044",
             )
         goals.append((float(point[1]), float(point[2])))
     column = recording.columns.get("sim.human_goal")
     count = int(np.max(column)) + 1 if column is not None and len(column) else len(goals)
     if count != len(goals):
         raise InputError(
-            f"Recording {recording.episode.episode_id!r} has {len(goals)} events new_goal, its steps speak of {count}."
+            f"Recording {recording.episode.episode_id!r} has {len(goals)} events new_goal, its steps speak of {count}.",
+            code="H3-HABITAT-041",
         )
     return goals, 0.01
 
@@ -163,4 +170,6 @@ def _goals(recording: Recording, human: int) -> tuple[Any, float]:
 def _require_finite(nav: SocialNavEpisode) -> None:
     numbers = [*nav.robot_start, *nav.human_start, *(v for goal in nav.human_goals for v in goal), nav.floor_y]
     if not all(map(math.isfinite, numbers)):
-        raise InputError("Expected finite starts and way points, there is a NaN or an infinity among them.")
+        raise InputError(
+            "Expected finite starts and way points, there is a NaN or an infinity among them.", code="H3-HABITAT-042"
+        )

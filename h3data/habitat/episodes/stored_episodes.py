@@ -71,11 +71,14 @@ def read_info_block(episode: RearrangeEpisode, task: str, kind: type[Record]) ->
     block, where = episode.info[KEY], f"episode {episode.episode_id!r}: info.{KEY}"
     version = block.get("version")
     if type(version) is not int or version > VERSION:
-        raise FormatError(f"{where}: Expected version {VERSION}, got {version!r}. Hint: a newer h3data reads it.")
+        raise FormatError(
+            f"{where}: Expected version {VERSION}, got {version!r}. Hint: a newer h3data reads it.",
+            code="H3-HABITAT-045",
+        )
     try:
         return msgspec.convert(block, kind)
     except msgspec.ValidationError as fault:
-        raise FormatError(f"{where}: {str(fault).replace('`', '')}") from None
+        raise FormatError(f"{where}: {str(fault).replace('`', '')}", code="H3-HABITAT-046") from None
 
 
 def plain(value: Any) -> Any:
@@ -87,4 +90,6 @@ def plain(value: Any) -> Any:
     try:
         return json.loads(json.dumps(value, allow_nan=False))
     except (TypeError, ValueError) as fault:
-        raise InputError(f"Expected rules and a scene source that JSON can hold: {fault}") from None
+        raise InputError(
+            f"Expected rules and a scene source that JSON can hold: {fault}", code="H3-HABITAT-047"
+        ) from None

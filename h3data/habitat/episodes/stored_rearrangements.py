@@ -147,7 +147,9 @@ def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
         assert record is not None
         _require_finite(record)
         if not record.goals and not record.placements:
-            raise InputError(f"Episode {episode.episode_id!r} has no objects to rearrange: goals is empty.")
+            raise InputError(
+                f"Episode {episode.episode_id!r} has no objects to rearrange: goals is empty.", code="H3-HABITAT-053"
+            )
         return record
     if task_of(episode) is not None:
         return None
@@ -162,7 +164,9 @@ def _of_habitat(episode: RearrangeEpisode, placements: tuple[Placement, ...]) ->
     strangers = asked.keys() - set(handles)
     if strangers:
         listed = ", ".join(handles[:6]) + (", ..." if len(handles) > 6 else "") if handles else "it has none"
-        raise InputError(f"{where}: its target {min(strangers)!r} is none of its objects ({listed}).")
+        raise InputError(
+            f"{where}: its target {min(strangers)!r} is none of its objects ({listed}).", code="H3-HABITAT-048"
+        )
     matrices = [*(thing.matrix for thing in episode.rigid_objects), *asked.values()]
     what = [*(f"the pose of {name!r}" for name in handles), *(f"the goal of {name!r}" for name in asked)]
     poses = _poses(matrices, what, where)
@@ -200,9 +204,11 @@ def rearrangement_of(recording: Recording) -> StoredRearrangement:
     """
     info, name = recording.episode.info, recording.episode.episode_id
     if recording.episode.task != TASK:
-        raise InputError(f"Expected a recording of rearrange, {name!r} is one of {recording.episode.task!r}.")
+        raise InputError(
+            f"Expected a recording of rearrange, {name!r} is one of {recording.episode.task!r}.", code="H3-HABITAT-049"
+        )
     if not len(recording) or not recording.agents:
-        raise InputError(f"Expected a recording with agents and steps, {name!r} has none.")
+        raise InputError(f"Expected a recording with agents and steps, {name!r} has none.", code="H3-HABITAT-050")
     first = {agent.kind: k for k, agent in reversed(list(enumerate(recording.agents)))}
     starts = {kind: info.get(f"{kind}_start") for kind in ("robot", "human")}
     if "starts" in info:
@@ -227,7 +233,9 @@ def rearrangement_of(recording: Recording) -> StoredRearrangement:
             StoredRearrangement,
         )
     except (msgspec.ValidationError, TypeError, ValueError) as fault:
-        raise InputError(f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}") from None
+        raise InputError(
+            f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}", code="H3-HABITAT-043"
+        ) from None
     _require_finite(record)
     return record
 
@@ -243,20 +251,23 @@ def _poses(matrices: Sequence[Matrix], what: Sequence[str], where: str) -> list[
     stacked = np.stack(matrices).astype(np.float64)
     rigid = is_rigid(stacked)
     if not rigid.all():
-        raise InputError(f"{where}: {what[int(np.argmin(rigid))]} is no rotation and translation.")
+        raise InputError(
+            f"{where}: {what[int(np.argmin(rigid))]} is no rotation and translation.", code="H3-HABITAT-051"
+        )
     return pose_from_matrix(stacked).astype(np.float64).tolist()
 
 
 def _require_finite(record: StoredRearrangement) -> None:
     for start in (record.robot_start, record.human_start):
         if start is not None and not all(map(math.isfinite, start)):
-            raise InputError(f"Expected finite starts, got {start}.")
+            raise InputError(f"Expected finite starts, got {start}.", code="H3-HABITAT-054")
     for goal in record.goals:
         numbers = [*goal.start, *goal.position]
         if len(goal.start) != 7 or len(goal.position) != 3 or not all(map(math.isfinite, numbers)):
             raise InputError(
                 f"Expected a pose7 and a position [3] of finite numbers for {goal.object!r}, got {goal.start} and "
-                f"{goal.position}."
+                f"{goal.position}.",
+                code="H3-HABITAT-055",
             )
     if not math.isfinite(record.floor_y):
-        raise InputError(f"Expected a finite height of the floor, got {record.floor_y}.")
+        raise InputError(f"Expected a finite height of the floor, got {record.floor_y}.", code="H3-HABITAT-052")

@@ -229,7 +229,8 @@ def _pose_rig(rig: Rig, step: int, number: int, pose: list[BonePose], path: Path
     if len(pose) != rig.bones:
         raise FormatError(
             f"Not a valid gfx-replay: rig {number} has {rig.bones} bones, {len(pose)} came at keyframe {step}, "
-            f"rigUpdates: {path}"
+            f"rigUpdates: {path}",
+            code="H3-HABITAT-056",
         )
     rig.updates.add_bones(step, pose)
 
@@ -238,7 +239,9 @@ def _lights(text: bytes, step: int, path: Path) -> list[dict[str, Any]]:
     try:
         return decode_json(text or b"[]", list[dict[str, Any]])
     except msgspec.DecodeError as fault:
-        raise FormatError(f"Not a valid gfx-replay: {fault}, keyframe {step}, lights: {path}") from None
+        raise FormatError(
+            f"Not a valid gfx-replay: {fault}, keyframe {step}, lights: {path}", code="H3-HABITAT-057"
+        ) from None
 
 
 def _create_and_delete(fold: Fold, live: dict[int, Life], step: int, keyframe: Keyframe) -> None:

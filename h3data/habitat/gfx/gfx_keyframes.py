@@ -184,10 +184,13 @@ def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Itera
             strange = strange or members
         yield keyframe
     if number < 0:
-        raise FormatError(f"A gfx-replay without keyframes: there is nothing to import. {path}")
+        raise FormatError(f"A gfx-replay without keyframes: there is nothing to import. {path}", code="H3-HABITAT-060")
     if strange and not known:
         held = ", ".join(strange[:8])
-        raise FormatError(f"Expected a gfx-replay, but its keyframes hold nothing of one; the first has {held}. {path}")
+        raise FormatError(
+            f"Expected a gfx-replay, but its keyframes hold nothing of one; the first has {held}. {path}",
+            code="H3-HABITAT-061",
+        )
 
 
 def _digested(chunks: Iterator[bytes], digest: Callable[[bytes], object]) -> Iterator[bytes]:
@@ -210,7 +213,7 @@ def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> I
         if str(fault) == "truncated":
             raise truncated(path, fault.at) from None
         raise FormatError(
-            f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}"
+            f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}", code="H3-HABITAT-063"
         ) from None
     rest = _limited(path, elements.rest, chunks, KEYFRAME_BYTES, "the part after the keyframes")
     stand_in = b'{"keyframes":[]'
@@ -219,7 +222,7 @@ def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> I
     except msgspec.DecodeError as fault:
         raise not_json(path, stand_in + rest, fault, start=elements.rest_at - len(stand_in)) from None
     if again != []:
-        raise FormatError(f"Not a valid gfx-replay: it has two lists of keyframes: {path}")
+        raise FormatError(f"Not a valid gfx-replay: it has two lists of keyframes: {path}", code="H3-HABITAT-062")
 
 
 def _whole(path: Path, head: bytes, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
@@ -245,7 +248,9 @@ def _limited(path: Path, head: bytes, chunks: Iterator[bytes], most: int, what: 
         parts.append(chunk)
         size += len(chunk)
         if size > most:
-            raise FormatError(f"Not a valid gfx-replay: {what} is longer than {most >> 20} MiB: {path}")
+            raise FormatError(
+                f"Not a valid gfx-replay: {what} is longer than {most >> 20} MiB: {path}", code="H3-HABITAT-064"
+            )
     return b"".join(parts)
 
 
@@ -271,7 +276,7 @@ def _other_kind(path: Path, content: Any) -> FormatError:
         shape = f"Its top-level keys are: {keys}; it looks like {json_format(content, name=path.name).title}."
     else:
         shape = f"It holds a JSON {type(content).__name__}."
-    return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}")
+    return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}", code="H3-HABITAT-058")
 
 
 def _explain(path: Path, number: int, text: bytes, message: str) -> FormatError:
@@ -302,4 +307,6 @@ def _item(text: bytes, group: str, index: int) -> Any:
 def _invalid(path: Path, message: str) -> FormatError:
     reason, _, where = message.partition(" - at `")
     place = where.rstrip("`").removeprefix("$.") or "its top level"
-    return FormatError(f"Not a valid gfx-replay: {reason[:1].lower() + reason[1:]} at {place}: {path}")
+    return FormatError(
+        f"Not a valid gfx-replay: {reason[:1].lower() + reason[1:]} at {place}: {path}", code="H3-HABITAT-059"
+    )

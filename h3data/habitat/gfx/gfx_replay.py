@@ -106,7 +106,7 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
 
 def _step_ns(fps: float) -> int:
     if not (np.isfinite(fps) and fps > 0):
-        raise InputError(f"fps must be a positive number of keyframes per second. Got {fps}.")
+        raise InputError(f"fps must be a positive number of keyframes per second. Got {fps}.", code="H3-HABITAT-065")
     return STEP_NS if fps == 30 else round(1e9 / fps)
 
 
@@ -134,7 +134,9 @@ def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str
             try:
                 frame_rotation(load.frame.up, load.frame.front)
             except SceneError as fault:
-                raise FormatError(f"Not a valid gfx-replay: asset {plain!r}: {fault} {path}") from None
+                raise FormatError(
+                    f"Not a valid gfx-replay: asset {plain!r}: {fault} {path}", code="H3-HABITAT-067"
+                ) from None
             key = tuple(values.values())
         if key not in refs:
             refs[key] = AssetRef(name=_unique(_short_name(values["uri"]), used), **values)
@@ -229,7 +231,8 @@ def _check_rotations(updates: Updates, bones: int, where: str, path: Path) -> No
     if bad.any():
         step = updates.steps[int(np.argmax(bad))]
         raise FormatError(
-            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}"
+            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}",
+            code="H3-HABITAT-066",
         )
 
 

@@ -49,8 +49,8 @@ def decoded(data: bytes, kind: type[T], path: Path, *, expected: str) -> T:
         except msgspec.DecodeError:  # such as a number that msgspec takes for text only
             other = JSON
         if other is not JSON and other.name != expected:
-            raise FormatError(f"Expected {title}, this is {other.title}: {path}") from None
-        raise FormatError(f"Not {title}: {fault}: {path}") from None
+            raise FormatError(f"Expected {title}, this is {other.title}: {path}", code="H3-HABITAT-070") from None
+        raise FormatError(f"Not {title}: {fault}: {path}", code="H3-HABITAT-069") from None
     except msgspec.DecodeError as fault:
         raise not_json(path, data, fault) from None
 
@@ -88,7 +88,9 @@ def unit_rotations(track: NDArray[np.float64], name: str, path: Path) -> NDArray
     length = np.linalg.norm(track[:, 3:], axis=1)
     bad = np.flatnonzero(length < 1e-3)
     if len(bad):
-        raise FormatError(f"The rotation of {name!r} at step {bad[0]} is not a quaternion (length 0): {path}")
+        raise FormatError(
+            f"The rotation of {name!r} at step {bad[0]} is not a quaternion (length 0): {path}", code="H3-HABITAT-068"
+        )
     track[:, 3:] /= length[:, None]
     return track
 

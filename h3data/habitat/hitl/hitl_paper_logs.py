@@ -96,7 +96,7 @@ def read_hitl_log(
     path, data = file.path, file.data
     log = _log(data, path)
     if not log.steps:
-        raise FormatError(f"A log without steps: {path}")
+        raise FormatError(f"A log without steps: {path}", code="H3-HABITAT-071")
     steps = log.steps
     check_size(len(steps), max(len(s.agent_states) for s in steps), path)
     tracks, warnings = _tracks(steps, path)
@@ -174,7 +174,10 @@ def _actions(steps: Sequence[Step], path: Path) -> tuple[NDArray[np.float64], li
     width = max(set(lengths), key=lengths.count, default=0) if lengths else 0
     out = np.full((len(steps), width), np.nan)
     if len(steps) * width > MAX_TRACK_VALUES:
-        raise FormatError(f"Actions of {width} values over {len(steps)} steps are more than can be read: {path}")
+        raise FormatError(
+            f"Actions of {width} values over {len(steps)} steps are more than can be read: {path}",
+            code="H3-HABITAT-072",
+        )
     for k, vector in enumerate(vectors):
         if vector is not None and len(vector) == width:
             out[k] = np.clip(vector, -1e9, 1e9)

@@ -132,7 +132,7 @@ def read_hitl_episode(
     path, data = source.path, source.data
     file = decoded(data, File, path, expected="hitl_episode")
     if not file.frames:
-        raise FormatError(f"An episode without frames: {path}")
+        raise FormatError(f"An episode without frames: {path}", code="H3-HABITAT-074")
     frames, steps = file.frames, len(file.frames)
     check_size(steps, max(len(f.agent_states) for f in frames) + max(len(f.users) for f in frames), path)
     known = np.array([bool(f.agent_states or f.object_states or f.users or f.t is not None) for f in frames])
@@ -270,7 +270,9 @@ def _columns(
         {s for f in frames for o in f.object_states for s, v in (o.states or {}).items() if type(v) is bool}
     )
     if steps * len(states) * len(names) > MAX_TRACK_VALUES:
-        raise FormatError(f"{len(states)} states of {len(names)} objects are more than can be read: {path}")
+        raise FormatError(
+            f"{len(states)} states of {len(names)} objects are more than can be read: {path}", code="H3-HABITAT-075"
+        )
     for state in states:
         values = np.full((steps, len(names)), -1, np.int8)
         for step, frame in enumerate(frames):

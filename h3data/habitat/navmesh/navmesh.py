@@ -145,7 +145,7 @@ class NavMesh:
     def _check(self, island: int) -> None:
         count = int(self.islands.max(initial=-1)) + 1
         if not 0 <= island < count:
-            raise InputError(f"There is no island {island}. This navmesh has {count}, from 0.")
+            raise InputError(f"There is no island {island}. This navmesh has {count}, from 0.", code="H3-HABITAT-086")
 
     def __repr__(self) -> str:
         return (
@@ -174,14 +174,15 @@ def free_space_from_navmesh(navmesh: NavMesh, *, island: int | None = None, cell
         crossed = sum(not outline.is_valid for outline in outlines)
         raise SceneError(
             f"Expected polygons that do not cross themselves, {crossed} of {len(outlines)} do: "
-            f"the navmesh is damaged ({error})."
+            f"the navmesh is damaged ({error}).",
+            code="H3-HABITAT-087",
         ) from None
 
 
 def _one_floor(navmesh: NavMesh, island: int | None, cell_m: float) -> FreeSpace:
     areas = navmesh.island_areas
     if not len(areas):
-        raise SceneError("The navmesh has no polygon that can be walked on.")
+        raise SceneError("The navmesh has no polygon that can be walked on.", code="H3-HABITAT-083")
     main = int(np.argmax(areas)) if island is None else island
     outline = _island_outline(navmesh, main)
     level = _island_height(navmesh, main)
@@ -203,7 +204,8 @@ def _one_floor(navmesh: NavMesh, island: int | None, cell_m: float) -> FreeSpace
     if nx * nz > CELLS_MAX:
         raise InputError(
             f"A grid of {cell_m} m over {x1 - x0:.0f} x {z1 - z0:.0f} m has {nx * nz} cells, more than {CELLS_MAX}. "
-            "Hint: a larger cell_m."
+            "Hint: a larger cell_m.",
+            code="H3-HABITAT-084",
         )
     return FreeSpace(
         key=_key(navmesh, main, island is None, cell_m),
@@ -317,7 +319,8 @@ def _island_outline(navmesh: NavMesh, island: int) -> BaseGeometry:
     if overlap > max(1e-3 * area.area, 0.01):
         raise SceneError(
             f"Island {island} of the navmesh lies {overlap:.2f} m2 above itself (stairs): a FreeSpace is one floor. "
-            "Hint: PathFinder(navmesh) works on all floors."
+            "Hint: PathFinder(navmesh) works on all floors.",
+            code="H3-HABITAT-085",
         )
     inner = shapely.union_all(walls).difference(area.boundary.buffer(SLIT_M))
     return area.difference(inner.buffer(SLIT_M)) if inner.length > SLIT_M else area

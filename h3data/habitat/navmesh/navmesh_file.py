@@ -67,7 +67,7 @@ class _Cursor:
         return found
 
     def error(self, message: str, offset: int) -> FormatError:
-        return FormatError(f"{message} (at byte {offset}): {self.path}")
+        return FormatError(f"{message} (at byte {offset}): {self.path}", code="H3-HABITAT-088")
 
 
 def read_navmesh(path: str | Path) -> NavMesh:
@@ -76,10 +76,12 @@ def read_navmesh(path: str | Path) -> NavMesh:
     try:
         size = path.stat().st_size
         if size > BYTES_MAX:
-            raise FormatError(f"A navmesh has at most {BYTES_MAX} bytes, this file has {size}: {path}")
+            raise FormatError(
+                f"A navmesh has at most {BYTES_MAX} bytes, this file has {size}: {path}", code="H3-HABITAT-090"
+            )
         cursor = _Cursor(path.read_bytes(), path)
     except OSError as error:
-        raise InputError(f"Cannot read the navmesh ({error.strerror}): {path}") from error
+        raise InputError(f"Cannot read the navmesh ({error.strerror}): {path}", code="H3-HABITAT-091") from error
     settings = _read_set_header(cursor)
     header, end = _read_tile_header(cursor)
     mesh = _read_tile(cursor, header, settings)
@@ -278,7 +280,8 @@ def navmesh_bytes(navmesh: NavMesh) -> bytes:
     if len(navmesh.vertices) > 0xFFFE or len(count) > 0x7FFE or count.max(initial=0) > 6:
         raise InputError(
             "A Detour tile holds 65534 vertices and 32766 polygons of up to 6 corners, "
-            f"got {len(navmesh.vertices)} and {len(count)} of up to {count.max(initial=0)}."
+            f"got {len(navmesh.vertices)} and {len(count)} of up to {count.max(initial=0)}.",
+            code="H3-HABITAT-089",
         )
     polygons = np.zeros(len(count), _POLYGON)
     used = np.arange(6) < count[:, None]
@@ -336,6 +339,9 @@ def _detail_sections(navmesh: NavMesh) -> tuple[NDArray, NDArray[np.float32], ND
                 [*triangle, sum(EDGE_BOUNDARY << 2 * i for i in range(3) if sides.count(sides[3 * t + i]) == 1)]
             )
         if len(extra) - base + corners > 255 or len(mine) > 255:
-            raise InputError(f"A Detour polygon holds 255 detail vertices and triangles; polygon {p} has more.")
+            raise InputError(
+                f"A Detour polygon holds 255 detail vertices and triangles; polygon {p} has more.",
+                code="H3-HABITAT-092",
+            )
         details[p] = (base, len(rows) - len(mine), len(extra) - base, len(mine), 0)
     return details, np.array(extra, np.float32).reshape(-1, 3), np.array(rows, np.uint8).reshape(-1, 4)

@@ -72,7 +72,7 @@ class PathFinder:
         """Set if made from one that is level: shortest paths are then its own. On stairs they are strings in space."""
         self.navmesh: NavMesh = source if isinstance(source, NavMesh) else navmesh_from_free_space(source, merge=False)
         if not self.navmesh.enabled.any():
-            raise InputError("The navmesh has no polygon that can be walked on.")
+            raise InputError("The navmesh has no polygon that can be walked on.", code="H3-HABITAT-095")
         self._surface = build_surface(self.navmesh)
 
     @property
@@ -252,10 +252,12 @@ class PathFinder:
         """The same with the island at each point, int32, -1 where there is none."""
         low, high = self.get_bounds()
         if not meters_per_pixel > 0:
-            raise InputError(f"meters_per_pixel must be positive, got {meters_per_pixel}.")
+            raise InputError(f"meters_per_pixel must be positive, got {meters_per_pixel}.", code="H3-HABITAT-096")
         rows, columns = ((high - low)[[2, 0]] / meters_per_pixel).astype(np.int64)
         if rows * columns > PIXELS_MAX:
-            raise InputError(f"A map of {columns} x {rows} pixels is too large. Hint: more meters_per_pixel.")
+            raise InputError(
+                f"A map of {columns} x {rows} pixels is too large. Hint: more meters_per_pixel.", code="H3-HABITAT-097"
+            )
         out = np.empty((rows, columns), np.int32)
         island_map(self._surface, low[0], low[2], float(meters_per_pixel), float(height), float(eps), out)
         return out
@@ -271,7 +273,10 @@ class PathFinder:
 
     def _island(self, index: int) -> int:
         if not -1 <= index < self.num_islands:
-            raise InputError(f"There is no island {index}. This navmesh has {self.num_islands}, from 0; -1 means all.")
+            raise InputError(
+                f"There is no island {index}. This navmesh has {self.num_islands}, from 0; -1 means all.",
+                code="H3-HABITAT-098",
+            )
         return index
 
     def _sampling(self, island: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -295,7 +300,7 @@ class PathFinder:
 def _point(point: ArrayLike) -> NDArray[np.float64]:
     p = np.ascontiguousarray(point, np.float64)
     if p.shape != (3,):
-        raise InputError(f"Expected one point (x, y, z), shape [3], got {list(p.shape)}.")
+        raise InputError(f"Expected one point (x, y, z), shape [3], got {list(p.shape)}.", code="H3-HABITAT-093")
     return p
 
 
@@ -303,5 +308,5 @@ def _points(points: ArrayLike) -> NDArray[np.float64]:
     p = np.asarray(points, np.float64)
     p = p.reshape(0, 3) if p.size == 0 else p
     if p.ndim != 2 or p.shape[1] != 3:
-        raise InputError(f"Expected points (x, y, z), shape [k, 3], got {list(p.shape)}.")
+        raise InputError(f"Expected points (x, y, z), shape [k, 3], got {list(p.shape)}.", code="H3-HABITAT-094")
     return p

@@ -159,7 +159,8 @@ def _values(given: Any, where: Path) -> list[float]:
     fine = isinstance(values, list) and all(isinstance(v, int | float) and abs(v) < 1e6 for v in values)
     if not fine:
         raise FormatError(
-            f"Expected numbers, in a list or by name, under 'initial_joint_pose', got {str(given)[:60]}: {where}"
+            f"Expected numbers, in a list or by name, under 'initial_joint_pose', got {str(given)[:60]}: {where}",
+            code="H3-HABITAT-110",
         )
     return [float(v) for v in values]
 

@@ -49,7 +49,8 @@ class ReferencedFiles:
         if outside is not None:
             raise SceneError(
                 f"{name!r} leads out of the dataset, so it is not opened. Hint: give the folder that holds it as an asset "
-                f"folder (assets=[DIR] or H3DATA_ASSETS). {outside}"
+                f"folder (assets=[DIR] or H3DATA_ASSETS). {outside}",
+                code="H3-HABITAT-118",
             )
         self.missing[name] = (*tried, *self._folders.roots)
         return None

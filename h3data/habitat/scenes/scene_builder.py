@@ -175,7 +175,8 @@ class SceneBuilder:
             raise MissingAssetError(
                 f"{len(missing)} assets of scene {name!r} do not exist. Hint: download the dataset completely, give its "
                 "folders as assets=[DIR] or in H3DATA_ASSETS, or leave them out with allow_missing=True. "
-                f"The first: {missing[0]}"
+                f"The first: {missing[0]}",
+                code="H3-HABITAT-119",
             )
         if missing:
             self.warn(f"{len(missing)} assets do not exist, their instances are left out: {missing[0]}")
@@ -185,7 +186,8 @@ class SceneBuilder:
         if self.strict and warnings:
             raise SceneError(
                 f"Scene {name!r} has {len(warnings)} warnings, and strict makes them errors: {'; '.join(warnings[:5])}. "
-                f"{config}"
+                f"{config}",
+                code="H3-HABITAT-120",
             )
         source = {
             "kind": "habitat", "config": str(config), "scene": scene, "warnings": warnings,

@@ -92,7 +92,7 @@ class _Collada:
     def root(self) -> Element:
         data = self.path.read_bytes().strip(b"\0 \t\r\n")
         if re.search(rb"<!(DOCTYPE|ENTITY)", data, re.IGNORECASE):
-            raise SceneError("Collada with a DOCTYPE or entities is refused")
+            raise SceneError("Collada with a DOCTYPE or entities is refused", code="H3-MESH-030")
         root = ElementTree.fromstring(data)
         for element in root.iter():
             element.tag = str(element.tag).rpartition("}")[2]

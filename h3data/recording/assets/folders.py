@@ -47,7 +47,9 @@ class AssetFolders:
         self.roots: tuple[Path, ...] = tuple(Path(r).expanduser() for r in given)
         absent = [str(r) for r in self.roots if not r.is_dir()]
         if absent:
-            raise SceneError(f"An asset root must be a folder that exists. Not so: {', '.join(absent)}")
+            raise SceneError(
+                f"An asset root must be a folder that exists. Not so: {', '.join(absent)}", code="H3-HABITAT-001"
+            )
         self._index: dict[str, list[tuple[tuple[str, ...], Path]]] | None = None
         self._resolved: dict[str, Path | None] = {}
 

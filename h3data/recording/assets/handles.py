@@ -29,7 +29,8 @@ def file_of_template(name: str, configs: Sequence[Path], meshes: Sequence[Path])
             listed = ", ".join(map(str, distinct[:_LISTED])) + (", ..." if len(distinct) > _LISTED else "")
             raise SceneError(
                 f"{len(distinct)} files fit the object handle {name!r}: {listed}. "
-                "Hint: give the folder of one dataset only (assets=[DIR])."
+                "Hint: give the folder of one dataset only (assets=[DIR]).",
+                code="H3-HABITAT-116",
             )
         if distinct:
             return distinct[0]

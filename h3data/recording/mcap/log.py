@@ -202,7 +202,10 @@ class LogWriter:
         """
         self._require_open()
         if replaces is not None and not 0 <= replaces < self._spans:
-            raise InputError(f"replaces={replaces}: {self._spans} skill spans were written, numbered from 0.")
+            raise InputError(
+                f"replaces={replaces}: {self._spans} skill spans were written, numbered from 0.",
+                code="H3-RECORDING-011",
+            )
         number = self._spans if replaces is None else replaces
         self._write_skill(span, number)
         return number
@@ -294,7 +297,9 @@ class LogWriter:
 
     def _require_open(self) -> None:
         if self.closed or self._finished:
-            raise InputError(f"This recording is closed; nothing can be added to it: {self.path}")
+            raise InputError(
+                f"This recording is closed; nothing can be added to it: {self.path}", code="H3-RECORDING-012"
+            )
 
     def _open_channels(self) -> None:
         channels = [self._struct_channel(name) for name in ("Scene", "Event", "Skill")]

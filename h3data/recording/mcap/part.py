@@ -111,11 +111,12 @@ class PartFile:
         try:
             yield
         except FileExistsError:
-            raise InputError(f"Another process is writing this file: {self.path}") from None
+            raise InputError(f"Another process is writing this file: {self.path}", code="H3-RECORDING-016") from None
         except OSError as error:
             raise InputError(
                 f"Could not write the recording: {error.strerror or error}. What was flushed before stays "
-                f"(`h3data recover`): {self.path}"
+                f"(`h3data recover`): {self.path}",
+                code="H3-RECORDING-017",
             ) from error
 
     def complete(self) -> None:
@@ -140,11 +141,14 @@ class PartFile:
         if overwrite:
             return
         if self.final.exists():
-            raise InputError(f"The file exists; choose another name or pass overwrite=True: {self.final}")
+            raise InputError(
+                f"The file exists; choose another name or pass overwrite=True: {self.final}", code="H3-RECORDING-013"
+            )
         if self.path.exists():
             raise InputError(
                 "An unfinished recording of this name exists. Save it with `h3data recover`, delete it, or pass "
-                f"overwrite=True: {self.path}"
+                f"overwrite=True: {self.path}",
+                code="H3-RECORDING-014",
             )
 
 
@@ -152,4 +156,6 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"The folder cannot be created ({error.strerror or error}): {folder}") from None
+        raise InputError(
+            f"The folder cannot be created ({error.strerror or error}): {folder}", code="H3-RECORDING-015"
+        ) from None

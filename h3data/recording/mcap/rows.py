@@ -83,8 +83,11 @@ class PendingRows:
         if len(arrays) - len(faults) < len(self._kinds):
             faults += [f"{name} is missing" for name in self._kinds if name not in arrays]
         if faults:
-            raise InputError(f"Rows do not fit this recording: {'; '.join(faults[:8])}.")
+            raise InputError(f"Rows do not fit this recording: {'; '.join(faults[:8])}.", code="H3-RECORDING-033")
         first_is_late = self._last_time is None or count == 0 or int(arrays["time_ns"][0]) > self._last_time
         if not first_is_late or (count > 1 and np.any(np.diff(arrays["time_ns"]) <= 0)):
-            raise InputError("time_ns must increase strictly from row to row, also from one append to the next.")
+            raise InputError(
+                "time_ns must increase strictly from row to row, also from one append to the next.",
+                code="H3-RECORDING-034",
+            )
         return count

@@ -28,7 +28,9 @@ def share_files(attachments: Mapping[str, bytes], folder: Path, log: Path) -> di
     """
     # readers search upwards from the log, so a folder elsewhere would never be found again
     if folder.absolute() not in log.absolute().parents[:_LEVELS]:
-        raise InputError(f"Expected a recording in the folder of the shared files, {folder}, got: {log}")
+        raise InputError(
+            f"Expected a recording in the folder of the shared files, {folder}, got: {log}", code="H3-RECORDING-036"
+        )
     store = FileStore(folder / _BELOW)
     return {name: store.put(name, bytes(data)) for name, data in attachments.items()}
 
@@ -48,7 +50,10 @@ def _read(stored: str, what: str, log: AnyPath) -> bytes:
     name = Path(stored).name
     path = next((folder / name for folder in folders if (folder / name).is_file()), None)
     if path is None:
-        raise FormatError(f"{what} is missing: expected it as h3/files/{name}. Hint: {_RESTORE}. Recording: {log}")
+        raise FormatError(
+            f"{what} is missing: expected it as h3/files/{name}. Hint: {_RESTORE}. Recording: {log}",
+            code="H3-RECORDING-037",
+        )
     if isinstance(path, Path):
         status = path.stat()
         return _cached(path, status.st_size, status.st_mtime_ns)

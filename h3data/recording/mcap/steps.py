@@ -42,7 +42,9 @@ class McapSteps(Steps):
         try:
             self._file = open_binary(path)
         except OSError as error:
-            raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
+            raise InputError(
+                f"The file cannot be read ({error.strerror or error}): {path}", code="H3-RECORDING-026"
+            ) from error
         try:
             self._reported(self._open, "it")
         # also after Ctrl-C: a file that is left open would be held until the process ends
@@ -119,7 +121,8 @@ class McapSteps(Steps):
         except (OSError, KeyError, *decoding_errors()) as error:
             raise FormatError(
                 f"Damaged or unfinished MCAP log, {what} cannot be read ({error or type(error).__name__}). "
-                f"Hint: `h3data recover {self.path} -o OUT` saves what can be saved. File: {self.path}"
+                f"Hint: `h3data recover {self.path} -o OUT` saves what can be saved. File: {self.path}",
+                code="H3-RECORDING-041",
             ) from error
 
     def _bytes(self, offset: int, size: int) -> bytes:
@@ -139,14 +142,17 @@ class McapSteps(Steps):
 
         log = self._log
         if self._bytes(0, len(MAGIC)) != MAGIC:
-            raise FormatError("Expected an MCAP log, the file does not begin like one.")
+            raise FormatError("Expected an MCAP log, the file does not begin like one.", code="H3-RECORDING-038")
         take(log, *self._record(len(MAGIC)))
         footer = log.size - _FOOTER_BYTES
         if self._bytes(log.size - len(MAGIC), len(MAGIC)) != MAGIC:
             raise EOFError("the closing magic bytes are missing")
         start, _, crc = struct.unpack("<QQI", self._record(footer)[1])
         if not start:
-            raise FormatError("This log has no summary, so its steps cannot be found. Hint: `h3data convert` adds one.")
+            raise FormatError(
+                "This log has no summary, so its steps cannot be found. Hint: `h3data convert` adds one.",
+                code="H3-RECORDING-039",
+            )
         log.readable_bytes = log.size
         summary = memoryview(self._bytes(start, footer + _RECORD.size + 16 - start))
         check_crc(crc, summary, "summary")
@@ -174,7 +180,8 @@ class McapSteps(Steps):
         """Adds the metadata records that another program has left out; a `FormatError` if there are some out of reach."""
         if self._metadata_records != 0:
             raise FormatError(
-                "The summary of this log does not tell where its metadata records are. Hint: `h3data convert` adds that."
+                "The summary of this log does not tell where its metadata records are. Hint: `h3data convert` adds that.",
+                code="H3-RECORDING-040",
             )
         state = self._log.channel_of("/h3/state")
         steps = 0 if state is None else self._places[state][-1]

@@ -206,7 +206,8 @@ def _decode_objects(fields: Sequence[WireField], messages: Sequence[memoryview],
             if len(value) != field.column.width:
                 raise FormatError(
                     f"Message {k} of {cls.DESCRIPTOR.full_name}: expected {field.column.width} values in field "
-                    f"{field.name}, got {len(value)}."
+                    f"{field.name}, got {len(value)}.",
+                    code="H3-RECORDING-045",
                 )
             out[field.column.name][k] = value
     return {f.column.name: _narrow(out[f.column.name], f) for f in fields}
@@ -217,7 +218,7 @@ def _narrow(values: NDArray[Any], field: WireField) -> NDArray[Any]:
     narrow = values.astype(field.column.dtype, copy=False)
     # protobuf has no integers of 8 and 16 bits, so another writer may have sent larger numbers
     if field.column.dtype in ("int8", "int16", "uint8", "uint16") and not np.array_equal(narrow, values):
-        raise FormatError(f"Column {field.column.name}: values exceed {field.column.dtype}.")
+        raise FormatError(f"Column {field.column.name}: values exceed {field.column.dtype}.", code="H3-RECORDING-042")
     return narrow.reshape(len(values), *field.column.shape)
 
 
@@ -238,7 +239,9 @@ def fields_from_metadata(metadata: Mapping[str, str], *, topic: str) -> WireLayo
         named = json.loads(metadata["h3.fields"])
         fields = [WireField(c, str(n), int(k)) for c, (n, k) in zip(layout, named, strict=True)]
     except (KeyError, ValueError, TypeError) as error:
-        raise FormatError(f"The channel {topic} has no usable column layout ({error!r}).") from error
+        raise FormatError(
+            f"The channel {topic} has no usable column layout ({error!r}).", code="H3-RECORDING-043"
+        ) from error
     return tuple(sorted([*fields, WireField(STEP, "step", 2)], key=lambda f: f.number))
 
 
@@ -293,7 +296,7 @@ def message_class(descriptor_set: bytes, name: str) -> Any:
         # other writers list files in any order, and the pool wants those first on which others depend
         ready = [f for f in waiting if set(f.dependency) <= added]
         if not ready:
-            raise FormatError(f"The descriptor of {name} lacks files that it depends on.")
+            raise FormatError(f"The descriptor of {name} lacks files that it depends on.", code="H3-RECORDING-044")
         for file in ready:
             pool.Add(file)
             added.add(file.name)

@@ -83,9 +83,11 @@ def write_mcap(
     target = place(path)
     if isinstance(target, RemotePath):
         if share_in is not None:
-            raise InputError(f"Files can be shared by recordings in a local folder only, not by: {target}")
+            raise InputError(
+                f"Files can be shared by recordings in a local folder only, not by: {target}", code="H3-RECORDING-046"
+            )
         if target.exists() and not overwrite:
-            raise InputError(f"The file exists; pass overwrite=True to replace it: {target}")
+            raise InputError(f"The file exists; pass overwrite=True to replace it: {target}", code="H3-RECORDING-047")
         with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
             # locally first: a log grows record by record, and an object store takes a file as a whole
             written = write_mcap(recording, Path(folder) / target.name)

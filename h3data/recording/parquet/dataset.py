@@ -46,7 +46,9 @@ class Dataset(DatasetFolder):
         if isinstance(index, slice):
             return self.all()[index]
         if not hasattr(index, "__index__"):
-            raise InputError(f"Expected the number of an episode or a slice, got {index!r:.60}.")
+            raise InputError(
+                f"Expected the number of an episode or a slice, got {index!r:.60}.", code="H3-RECORDING-057"
+            )
         if not -len(self) <= index < len(self):
             raise IndexError(f"The dataset has {len(self)} episodes, there is no {index}.")  # also ends a for loop
         return self.recording(index % len(self))
@@ -161,7 +163,9 @@ class Dataset(DatasetFolder):
         if feature is None or not row["length"]:
             has = ", ".join(self.cameras) or "none"
             what = f"no video of camera {camera!r}" if feature is None else "no steps"
-            raise InputError(f"Episode {index} has {what}. The dataset has videos of: {has}: {self.root}")
+            raise InputError(
+                f"Episode {index} has {what}. The dataset has videos of: {has}: {self.root}", code="H3-RECORDING-058"
+            )
         return episode_video(self.root, row, feature, fps=self.schema.fps)
 
     def videos(self, index: int) -> list[EpisodeVideo]:
@@ -233,7 +237,9 @@ class Dataset(DatasetFolder):
         unknown = sorted(set(columns) - set(self._declared))
         if unknown:
             near = suggest(unknown[0], self._declared, lead="It has")
-            raise InputError(f"No columns {unknown} in this dataset.{near} Dataset: {self.root}")
+            raise InputError(
+                f"No columns {unknown} in this dataset.{near} Dataset: {self.root}", code="H3-RECORDING-059"
+            )
 
     def _groups(self, indices: range) -> Iterator[range]:
         """Runs of episodes of one shard with the same columns, which one read can return."""

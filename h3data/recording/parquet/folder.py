@@ -80,15 +80,18 @@ class DatasetFolder:
         try:
             exists, dataset = self.root.exists(), is_dataset(self.root)
         except OSError as error:
-            raise InputError(f"The folder cannot be read ({error.strerror or error}): {self.root}") from error
+            raise InputError(
+                f"The folder cannot be read ({error.strerror or error}): {self.root}", code="H3-RECORDING-066"
+            ) from error
         if not exists:
-            raise InputError(f"There is no such folder: {self.root}")
+            raise InputError(f"There is no such folder: {self.root}", code="H3-RECORDING-061")
         if not dataset:
-            raise FormatError(f"Expected a dataset folder (with meta/info.json): {self.root}")
+            raise FormatError(f"Expected a dataset folder (with meta/info.json): {self.root}", code="H3-RECORDING-062")
         if not (self.root / "h3" / "schema.json").exists():
             raise FormatError(
                 f"A LeRobot dataset, but not written by h3data: it lacks h3/schema.json and with it bodies and agents. "
-                f"Hint: open it with lerobot or Rerun: {self.root}"
+                f"Hint: open it with lerobot or Rerun: {self.root}",
+                code="H3-RECORDING-063",
             )
         self._promised = self._promised_episodes()
         self.schema = DatasetSchema.load(self.root)
@@ -120,12 +123,16 @@ class DatasetFolder:
                 raise ValueError(f"it lacks {', '.join(lacking)}")
             faults = _chain_faults(table) if tables else []
         except DAMAGE as error:
-            raise FormatError(f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}") from error
+            raise FormatError(
+                f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}", code="H3-RECORDING-067"
+            ) from error
         # fewer than promised are a loss; more are not, as info.json is written after the tables
         if len(table) < self._promised:
             faults.append(f"info.json counts {self._promised} episodes, there are {len(table)}: files are missing")
         if faults:
-            raise FormatError(f"The episode table is not consistent: {'; '.join(faults)}: {self.root}")
+            raise FormatError(
+                f"The episode table is not consistent: {'; '.join(faults)}: {self.root}", code="H3-RECORDING-064"
+            )
         return table
 
     @cached_property
@@ -144,7 +151,9 @@ class DatasetFolder:
         """
         rows = self.rows
         if not 0 <= index < len(rows):
-            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(rows) - 1}: {self.root}")
+            raise InputError(
+                f"Episode {index}: the dataset has episodes 0..{len(rows) - 1}: {self.root}", code="H3-RECORDING-065"
+            )
         return rows[index]
 
     def shard_of(self, row: Mapping[str, Any]) -> int:
@@ -189,7 +198,8 @@ class DatasetFolder:
             version, episodes = info["h3data"]["schema_version"], int(info["total_episodes"])
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise FormatError(
-                f"info.json is damaged ({error!r}). Hint: h3data.recording.rebuild_meta makes it again: {path}"
+                f"info.json is damaged ({error!r}). Hint: h3data.recording.rebuild_meta makes it again: {path}",
+                code="H3-RECORDING-068",
             ) from error
         check_version(version, path=path)
         return episodes
@@ -197,7 +207,7 @@ class DatasetFolder:
     def _damage(self, group: Sequence[int], error: Exception) -> FormatError:
         path = shard_path(self.root, "data", self.shard_of(self.row(group[0])))
         which = f"Episode {group[0]}" if len(group) == 1 else f"One of the episodes {group[0]} to {group[-1]}"
-        return FormatError(f"{which} cannot be read, its data are damaged ({error}): {path}")
+        return FormatError(f"{which} cannot be read, its data are damaged ({error}): {path}", code="H3-RECORDING-060")
 
     def _file(self, shard: int) -> pq.ParquetFile:
         if shard not in self._files:

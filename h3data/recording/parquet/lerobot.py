@@ -60,7 +60,7 @@ class Totals:
                 totals.tasks |= dict(zip(tasks, table["task_index"].to_pylist(), strict=True))
                 merge_into(totals.moments, moments)
             except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, zlib.error) as error:
-                raise FormatError(f"The episode table is damaged ({error}): {path}") from error
+                raise FormatError(f"The episode table is damaged ({error}): {path}", code="H3-RECORDING-069") from error
         return totals
 
 

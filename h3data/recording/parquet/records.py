@@ -90,7 +90,9 @@ class DatasetRecords:
             last = episodes[-1]
             which = f"episode {last}" if len(episodes) == 1 else f"episodes {episodes[0]} to {last}"
             path = shard_path(self._root, f"h3/{kind}", shard)
-            raise FormatError(f"The {kind} of {which} cannot be read ({error}): {path}") from error
+            raise FormatError(
+                f"The {kind} of {which} cannot be read ({error}): {path}", code="H3-RECORDING-070"
+            ) from error
 
     def attachments(self, row: Mapping[str, Any]) -> dict[str, bytes]:
         """The attached files of an episode, from its row of the episode table.
@@ -103,7 +105,8 @@ class DatasetRecords:
             stored = {str(name): str(file) for name, file in json.loads(row["attachments"]).items()}
         except (ValueError, AttributeError, TypeError, RecursionError) as error:
             raise FormatError(
-                f"The list of attachments of episode {episode} is damaged ({error}): {self._root}"
+                f"The list of attachments of episode {episode} is damaged ({error}): {self._root}",
+                code="H3-RECORDING-071",
             ) from error
         return {
             name: self._files.get(file, what=f"The attachment {name} of episode {episode}", hint=_RESTORE)

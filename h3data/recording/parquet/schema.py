@@ -137,9 +137,13 @@ class DatasetSchema:
                 columns=columns, fps=fps, robot_type=robot, version=version, videos=videos, names=names, episode_stats=stats
             )  # fmt: skip
         except FileNotFoundError:
-            raise FormatError(f"Expected a dataset of h3data, there is no {path.name}: {path}") from None
+            raise FormatError(
+                f"Expected a dataset of h3data, there is no {path.name}: {path}", code="H3-RECORDING-073"
+            ) from None
         except (OSError, KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
-            raise FormatError(f"The schema of the dataset is damaged ({error!r}): {path}") from error
+            raise FormatError(
+                f"The schema of the dataset is damaged ({error!r}): {path}", code="H3-RECORDING-074"
+            ) from error
 
 
 def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) -> Layout:
@@ -161,7 +165,7 @@ def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) ->
                 shape = tuple(max(a, b) for a, b in zip(widest.shape, column.shape, strict=True))
                 union[column.name] = Column(column.name, column.dtype, shape)
     if faults:
-        raise InputError(f"These columns cannot share a dataset: {'; '.join(faults[:8])}.")
+        raise InputError(f"These columns cannot share a dataset: {'; '.join(faults[:8])}.", code="H3-RECORDING-072")
     # the fullest home may come later, and columns cannot grow once a file is written
     if max_bodies is not None:
         poses = union.get("object_pose", Column("object_pose", "float32", (0, 7)))

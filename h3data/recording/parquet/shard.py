@@ -235,7 +235,9 @@ def _record_table(kind: str, records: list[dict[str, Any]], index: int) -> pa.Ta
     try:
         return pa.Table.from_pylist(rows, schema=record_schema(SIDECARS[kind]))
     except (OverflowError, UnicodeEncodeError, pa.ArrowException) as error:
-        raise InputError(f"The {kind} of episode {index}: a value cannot be stored ({error}).") from None
+        raise InputError(
+            f"The {kind} of episode {index}: a value cannot be stored ({error}).", code="H3-RECORDING-075"
+        ) from None
 
 
 def _parquet_options(schema: DatasetSchema) -> dict[str, Any]:

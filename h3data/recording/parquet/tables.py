@@ -40,7 +40,9 @@ def to_polars(table: pa.Table) -> polars.DataFrame:
     try:
         import polars
     except ImportError:
-        raise MissingExtraError('A polars frame needs polars. Hint: pip install "h3data[frames]"') from None
+        raise MissingExtraError(
+            'A polars frame needs polars. Hint: pip install "h3data[frames]"', code="H3-RECORDING-077"
+        ) from None
     frame = polars.from_arrow(table)
     assert isinstance(frame, polars.DataFrame)
     return frame
@@ -51,7 +53,9 @@ def to_pandas(table: pa.Table) -> pandas.DataFrame:
     try:
         import pandas
     except ImportError:
-        raise MissingExtraError('A pandas frame needs pandas. Hint: pip install "h3data[frames]"') from None
+        raise MissingExtraError(
+            'A pandas frame needs pandas. Hint: pip install "h3data[frames]"', code="H3-RECORDING-078"
+        ) from None
 
     def kind(arrow: pa.DataType) -> Any:
         return pandas.ArrowDtype(arrow) if pa.types.is_fixed_size_list(arrow) else None
@@ -85,7 +89,8 @@ def table_schema(dataset: DatasetFolder, columns: Sequence[str] | None = None) -
     unknown = sorted(set(columns or ()) - set(kinds))
     if unknown:
         raise InputError(
-            f"No columns {unknown} in this dataset.{suggest(unknown[0], kinds, lead='It has')} Dataset: {dataset.root}"
+            f"No columns {unknown} in this dataset.{suggest(unknown[0], kinds, lead='It has')} Dataset: {dataset.root}",
+            code="H3-RECORDING-076",
         )
     names = dict.fromkeys(kinds if columns is None else columns)
     return pa.schema([pa.field(name, arrow_rows(*kinds[name])) for name in names])
@@ -96,7 +101,10 @@ def chosen_episodes(dataset: DatasetFolder, episodes: Iterable[int] | None) -> S
     chosen = range(len(dataset)) if episodes is None else list(episodes)
     for index in chosen:
         if not 0 <= index < len(dataset):
-            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(dataset) - 1}: {dataset.root}")
+            raise InputError(
+                f"Episode {index}: the dataset has episodes 0..{len(dataset) - 1}: {dataset.root}",
+                code="H3-RECORDING-079",
+            )
     return chosen
 
 

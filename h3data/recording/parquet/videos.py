@@ -93,7 +93,10 @@ class EpisodeVideo:
                     yield frame.to_ndarray(format="rgb24")
                     count += 1
             if count != self.length:
-                raise FormatError(f"Expected {self.length} frames from frame {self.start} on, got {count}: {self.path}")
+                raise FormatError(
+                    f"Expected {self.length} frames from frame {self.start} on, got {count}: {self.path}",
+                    code="H3-RECORDING-086",
+                )
 
 
 def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, *, fps: int) -> EpisodeVideo:
@@ -121,7 +124,9 @@ def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, 
             start=round(row[f"{at}/from_timestamp"] * fps),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise FormatError(f"The place of a video in the episode table is damaged ({error!r}): {root}") from None
+        raise FormatError(
+            f"The place of a video in the episode table is damaged ({error!r}): {root}", code="H3-RECORDING-081"
+        ) from None
 
 
 class VideoAppender:
@@ -161,10 +166,13 @@ class VideoAppender:
                 elif not count and bytes(packet.stream.codec_context.extradata or b"") != self._settings:
                     raise InputError(
                         f"The video of camera {video.feature.camera} was encoded with other settings than those before it "
-                        f"in the dataset. Hint: write it to another dataset: {video.path}"
+                        f"in the dataset. Hint: write it to another dataset: {video.path}",
+                        code="H3-RECORDING-089",
                     )
                 if not count and not packet.is_keyframe:
-                    raise FormatError(f"Expected a key frame at frame {video.start}: {video.path}")
+                    raise FormatError(
+                        f"Expected a key frame at frame {video.start}: {video.path}", code="H3-RECORDING-088"
+                    )
                 # times are counted in frames of the whole file, as those of the source begin anew with
                 # each episode
                 packet.stream = self._stream
@@ -175,7 +183,10 @@ class VideoAppender:
                 self._container.mux(packet)
                 count += 1
         if count != video.length:
-            raise FormatError(f"Expected {video.length} frames from frame {video.start} on, got {count}: {video.path}")
+            raise FormatError(
+                f"Expected {video.length} frames from frame {video.start} on, got {count}: {video.path}",
+                code="H3-RECORDING-082",
+            )
         self.frames += count
 
     def close(self) -> None:
@@ -203,7 +214,7 @@ def count_frames(path: AnyPath) -> int:
             # the last packet is empty: it tells a decoder to hand out what it holds
             return sum(packet.size > 0 for packet in container.demux(video=0))
         except (OSError, ValueError) as error:
-            raise FormatError(f"The video is damaged ({error}): {path}") from None
+            raise FormatError(f"The video is damaged ({error}): {path}", code="H3-RECORDING-087") from None
 
 
 def _packets(video: EpisodeVideo, stack: ExitStack) -> Iterator[Any]:
@@ -222,7 +233,7 @@ def _packets(video: EpisodeVideo, stack: ExitStack) -> Iterator[Any]:
             if count == video.length:
                 return
     except (OSError, ValueError) as error:
-        raise FormatError(f"The video is damaged ({error}): {video.path}") from None
+        raise FormatError(f"The video is damaged ({error}): {video.path}", code="H3-RECORDING-083") from None
 
 
 def _opened(path: AnyPath, stack: ExitStack) -> Any:
@@ -233,9 +244,9 @@ def _opened(path: AnyPath, stack: ExitStack) -> Any:
         source: Any = os.path.abspath(path) if isinstance(path, Path) else stack.enter_context(open_binary(path))
         container = stack.enter_context(av.open(source))
     except FileNotFoundError:
-        raise FormatError(f"A video of the dataset is missing: {path}") from None
+        raise FormatError(f"A video of the dataset is missing: {path}", code="H3-RECORDING-084") from None
     except (OSError, ValueError) as error:
-        raise FormatError(f"The video cannot be read ({error}): {path}") from None
+        raise FormatError(f"The video cannot be read ({error}): {path}", code="H3-RECORDING-085") from None
     if not container.streams.video:
-        raise FormatError(f"Expected a video, this file has none: {path}")
+        raise FormatError(f"Expected a video, this file has none: {path}", code="H3-RECORDING-080")
     return container

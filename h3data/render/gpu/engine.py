@@ -107,6 +107,9 @@ def copied_to(out: Mapping[str, Any] | None, results: Mapping[str, Any]) -> dict
             continue
         tensor = copies[name]
         if getattr(target, "dtype", None) != tensor.dtype or tuple(target.shape) != tuple(tensor.shape):
-            raise InputError(f"out[{name!r}] must be a {tensor.dtype} tensor {list(tensor.shape[1:])} per camera.")
+            raise InputError(
+                f"out[{name!r}] must be a {tensor.dtype} tensor {list(tensor.shape[1:])} per camera.",
+                code="H3-RENDER-019",
+            )
         copies[name] = target.copy_(tensor)
     return copies

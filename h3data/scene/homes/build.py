@@ -131,7 +131,8 @@ def build_home(spec: HomeSpec) -> Scene:
         reasons += scene_faults
         _log.debug("%s, attempt %d: %s", spec, attempt, "; ".join(scene_faults))
     raise SceneError(
-        f"No home found for {spec} in {_ATTEMPTS} attempts; last reason: {reasons[-1]} Hint: use another seed."
+        f"No home found for {spec} in {_ATTEMPTS} attempts; last reason: {reasons[-1]} Hint: use another seed.",
+        code="H3-SCENE-021",
     )
 
 

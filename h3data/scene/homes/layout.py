@@ -239,13 +239,13 @@ def _plan_doors(rng: np.random.Generator, rooms: tuple[RoomPlan, ...], generatio
             group = {name: new if g == old else g for name, g in group.items()}
         doors.append(_door(rng, a, b, wall, generation))
     if len(set(group.values())) > 1:
-        raise SceneError("This plan leaves rooms without a door.")
+        raise SceneError("This plan leaves rooms without a door.", code="H3-SCENE-023")
     kinds = {room.name: room.category for room in rooms}
     for room in rooms:
         others = [kinds[n] for o in doors if room.name in o.rooms for n in o.rooms if n != room.name]
         through = [k for k in others if not (room.category == "bedroom" and k == "bathroom")]
         if room.category in _DEAD_ENDS and len(through) != 1:
-            raise SceneError("This plan leads through a private room.")
+            raise SceneError("This plan leads through a private room.", code="H3-SCENE-025")
     return doors
 
 
@@ -307,7 +307,7 @@ def _plan_outer(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[O
     halls = sorted((r for r in rooms if r.category == "hall"), key=lambda r: -_narrow(r))
     host = next((r for r in (*halls, *rooms) if _entrances(r, rooms)), None)
     if host is None:
-        raise SceneError("This plan has no place for an entrance.")
+        raise SceneError("This plan has no place for an entrance.", code="H3-SCENE-024")
     sides = _entrances(host, rooms)
     door = sides[int(rng.integers(len(sides)))]
     middle = (door.low + door.high) / 2

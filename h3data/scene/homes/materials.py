@@ -44,7 +44,7 @@ class Finish(tuple[int, int, int]):
             InputError: there is no such material.
         """
         if material not in MATERIALS:
-            raise InputError(f"Unknown material {material!r}. Available: {', '.join(MATERIALS)}.")
+            raise InputError(f"Unknown material {material!r}. Available: {', '.join(MATERIALS)}.", code="H3-SCENE-026")
         finish = super().__new__(cls, color)
         finish.material = material
         return finish

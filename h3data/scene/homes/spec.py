@@ -139,25 +139,34 @@ class HomeSpec:
         _check_whole("generation", self.generation, 1, GENERATIONS)
         if self.style is not None and (self.style not in get_args(Look) or self.generation < 2):
             raise InputError(
-                f"Unknown style {self.style!r}. Available: {', '.join(get_args(Look))}, in homes with generation=2."
+                f"Unknown style {self.style!r}. Available: {', '.join(get_args(Look))}, in homes with generation=2.",
+                code="H3-SCENE-029",
             )
         _check_whole("storeys", self.storeys, 1, STOREYS)
         if self.storeys > 1 and (self.generation < 2 or self.preset == "large"):
             raise InputError(
                 f"Homes with {self.storeys} storeys are small or medium and of generation=2, got preset={self.preset!r}, "
-                f"generation={self.generation}."
+                f"generation={self.generation}.",
+                code="H3-SCENE-030",
             )
         if self.preset not in get_args(Preset):
-            raise InputError(f"Unknown home preset {self.preset!r}. Available: {', '.join(get_args(Preset))}.")
+            raise InputError(
+                f"Unknown home preset {self.preset!r}. Available: {', '.join(get_args(Preset))}.", code="H3-SCENE-031"
+            )
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
-            raise InputError(f"The seed of a home must be a whole number >= 0, got {self.seed!r}.")
+            raise InputError(f"The seed of a home must be a whole number >= 0, got {self.seed!r}.", code="H3-SCENE-032")
         _check_whole("bedrooms", self.bedrooms, 1, MAX_BEDROOMS)
         _check_whole("bathrooms", self.bathrooms, 1, MAX_BATHROOMS)
         _check_whole("density", self.density, 1, MAX_DENSITY)
         if not isinstance(self.articulated, bool):
-            raise InputError(f"articulated of a home must be true or false, got {self.articulated!r}.")
+            raise InputError(
+                f"articulated of a home must be true or false, got {self.articulated!r}.", code="H3-SCENE-033"
+            )
         if not isinstance(self.doors, bool) or (self.doors and self.generation < 2):
-            raise InputError(f"doors of a home must be true or false, true with generation=2; got {self.doors!r}.")
+            raise InputError(
+                f"doors of a home must be true or false, true with generation=2; got {self.doors!r}.",
+                code="H3-SCENE-034",
+            )
         _check_number("clutter", self.clutter, 0.0, MAX_CLUTTER)
         program = self.program
         smallest = min_area_m2(program.bedrooms, program.bathrooms)
@@ -233,14 +242,18 @@ def seed_look(seed: int) -> Look:
 def _check_number(name: str, value: object, low: float, high: float, why: str = "") -> None:
     fine = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
     if not fine or not low <= value <= high:  # type: ignore[operator]
-        raise InputError(f"{name} of a home must be a number from {low:g} to {high:g}{why}, got {value!r}.")
+        raise InputError(
+            f"{name} of a home must be a number from {low:g} to {high:g}{why}, got {value!r}.", code="H3-SCENE-027"
+        )
 
 
 def _check_whole(name: str, value: object, low: int, high: int) -> None:
     if value is None:
         return
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
-        raise InputError(f"{name} of a home must be a whole number from {low} to {high}, got {value!r}.")
+        raise InputError(
+            f"{name} of a home must be a whole number from {low} to {high}, got {value!r}.", code="H3-SCENE-028"
+        )
 
 
 def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generator:

@@ -242,7 +242,10 @@ def plan_zoning(spec: HomeSpec, attempt: int) -> Zoning:
         plan = _best_of(rng, spec.program, shape)
         if plan is not None:
             return plan
-    raise SceneError(f"No acceptable plan for {spec} after {_SHAPES} x {_TRIALS} trials. Hint: use another seed.")
+    raise SceneError(
+        f"No acceptable plan for {spec} after {_SHAPES} x {_TRIALS} trials. Hint: use another seed.",
+        code="H3-SCENE-036",
+    )
 
 
 def _best_of(rng: np.random.Generator, program: HomePreset, shape: str) -> Zoning | None:

@@ -364,4 +364,6 @@ def plan_large_zoning(spec: HomeSpec, attempt: int, sound: Callable[[Zoning], bo
                     break
         if best is not None:
             return best[1]
-    raise SceneError(f"No acceptable plan for {spec} after 3 x {_TRIALS} trials. Hint: use another seed.")
+    raise SceneError(
+        f"No acceptable plan for {spec} after 3 x {_TRIALS} trials. Hint: use another seed.", code="H3-SCENE-037"
+    )

@@ -65,11 +65,11 @@ class BodiesShow:
         if self.out is None:
             return Outcome(text="\n".join(lines), data={"bodies": rows})
         if not 200 <= self.width <= 8000:
-            raise InputError(f"--width must be from 200 to 8000, got {self.width}.")
+            raise InputError(f"--width must be from 200 to 8000, got {self.width}.", code="H3-BODY-123")
         if not 0 < self.speed <= 4:
-            raise InputError(f"--speed must be above 0 and at most 4 m/s, got {self.speed}.")
+            raise InputError(f"--speed must be above 0 and at most 4 m/s, got {self.speed}.", code="H3-BODY-124")
         if self.out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}")
+            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}", code="H3-BODY-125")
         target = claim_file(self.out, force=self.force)
         image = self._render(people)
         write_image(target, image)
@@ -161,7 +161,7 @@ class BodiesBake:
             InputError: a parameter is out of range.
         """
         if self.out.suffix != ".npz":
-            raise InputError(f"Expected a file name that ends in .npz, got: {self.out}")
+            raise InputError(f"Expected a file name that ends in .npz, got: {self.out}", code="H3-BODY-126")
         limits = {
             "gender": (0, 1),
             "age": (0.25, 1),
@@ -173,7 +173,9 @@ class BodiesBake:
         }
         for name, (low, high) in limits.items():
             if not low <= getattr(self, name) <= high:
-                raise InputError(f"--{name} must be from {low} to {high}, got {getattr(self, name)}.")
+                raise InputError(
+                    f"--{name} must be from {low} to {high}, got {getattr(self, name)}.", code="H3-BODY-127"
+                )
         colors = {name: _color(name, getattr(self, name)) for name in ("skin", "hair")}
         target = claim_file(self.out, force=self.force)
         try:
@@ -183,7 +185,9 @@ class BodiesBake:
                 hint = "Run the command in a checkout of the repository: the package has the baked bodies only."
             else:
                 hint = "pip install 'h3data[bodies]'"
-            raise InputError(f"Baking needs the module {error.name}, which is not installed. Hint: {hint}") from None
+            raise InputError(
+                f"Baking needs the module {error.name}, which is not installed. Hint: {hint}", code="H3-BODY-128"
+            ) from None
         load_humanoid.cache_clear()
         body = load_humanoid(target)
         return Outcome(text=f"wrote {target}: {body}", data={"file": str(target), **_row(body)})
@@ -227,5 +231,7 @@ def _row(body: Humanoid) -> dict[str, Any]:
 def _color(name: str, text: str) -> tuple[int, int, int]:
     parts = text.split(",")
     if len(parts) != 3 or not all(p.strip().isdecimal() and int(p) <= 255 for p in parts):
-        raise InputError(f"--{name} must be an sRGB colour such as 200,150,118 (0 to 255 each), got {text!r}.")
+        raise InputError(
+            f"--{name} must be an sRGB colour such as 200,150,118 (0 to 255 each), got {text!r}.", code="H3-BODY-122"
+        )
     return int(parts[0]), int(parts[1]), int(parts[2])

@@ -55,9 +55,12 @@ class RobotsShow:
         if self.out is None:
             return Outcome(text="\n".join(_line(row) for row in rows), data={"robots": rows})
         if not 1 <= self.views <= 24 or not 200 <= self.width <= 8000:
-            raise InputError(f"Expected --views 1 to 24 and --width 200 to 8000, got {self.views} and {self.width}.")
+            raise InputError(
+                f"Expected --views 1 to 24 and --width 200 to 8000, got {self.views} and {self.width}.",
+                code="H3-BODY-139",
+            )
         if self.out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}")
+            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}", code="H3-BODY-125")
         target = claim_file(self.out, force=self.force)
         image = self._draw(robots)
         write_image(target, image)
@@ -101,7 +104,7 @@ class RobotsReach:
         """Solves the inverse kinematics and returns the joint positions."""
         robot = load_robot(self.name, up=self.up)
         if not self.link and robot.hand_link < 0:
-            raise InputError(f"Robot {robot.name} has no hand: name one of its links with --link.")
+            raise InputError(f"Robot {robot.name} has no hand: name one of its links with --link.", code="H3-BODY-140")
         link = self.link or robot.links[robot.hand_link].name
         offset = (0.0, 0.0, 0.0) if self.link else robot.hand_position
         found = solve_ik(robot, link, self.point, offset=offset)

@@ -195,4 +195,4 @@ def readable_os_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"Cannot write the image ({error.strerror or error}): {path}") from None
+        raise InputError(f"Cannot write the image ({error.strerror or error}): {path}", code="H3-BODY-141") from None

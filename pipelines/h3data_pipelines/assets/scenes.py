@@ -77,7 +77,7 @@ class ScenesList:
     def run(self) -> Outcome:
         """Returns a table of presets and scene sets, or of the sizes of the given scenes."""
         if self.homes < 1:
-            raise InputError(f"--homes must be at least 1, got {self.homes}.")
+            raise InputError(f"--homes must be at least 1, got {self.homes}.", code="H3-BODY-147")
         if not self.scenes:
             return presets_and_sets()
         scenes = _all_named(self.scenes, self.homes, self.assets, self.strict, self.allow_missing)
@@ -141,12 +141,15 @@ class ScenesShow:
         scene = _renamed(named)
         target = _png(self.out, force=self.force)
         if not 4 <= self.pixels_per_m <= 1000:
-            raise InputError(f"--pixels-per-m must be from 4 to 1000, got {self.pixels_per_m}.")
+            raise InputError(f"--pixels-per-m must be from 4 to 1000, got {self.pixels_per_m}.", code="H3-BODY-148")
         if self.room and self.view != "eye":
-            raise InputError("--room applies to --view eye only: add --view eye.")
+            raise InputError("--room applies to --view eye only: add --view eye.", code="H3-BODY-149")
         free = _free(named)
         if free is None and self.view == "eye":
-            raise InputError(f"--view eye needs free floor to stand on, {named.name} has none. Hint: use --view plan.")
+            raise InputError(
+                f"--view eye needs free floor to stand on, {named.name} has none. Hint: use --view plan.",
+                code="H3-BODY-150",
+            )
         if free is None:
             image, _ = plan_picture(scene, pixels_per_m=self.pixels_per_m)
         elif self.view == "eye":
@@ -197,11 +200,14 @@ class ScenesExport:
     def run(self) -> Outcome:
         """Writes the scenes as a Habitat scene dataset or as GLB files."""
         if not self.scenes:
-            raise InputError(f"Expected at least one scene: {_SCENE_HELP}")
+            raise InputError(f"Expected at least one scene: {_SCENE_HELP}", code="H3-BODY-151")
         if self.episodes is not None and self.episodes < 0:
-            raise InputError(f"--episodes must be at least 0, got {self.episodes}.")
+            raise InputError(f"--episodes must be at least 0, got {self.episodes}.", code="H3-BODY-152")
         if self.split_building and self.to != "habitat":
-            raise InputError("--split-building is for --to habitat: in a GLB every part has its semantic id already.")
+            raise InputError(
+                "--split-building is for --to habitat: in a GLB every part has its semantic id already.",
+                code="H3-BODY-153",
+            )
         sets = [s for text in self.scenes if "#" not in text and (s := find_scene_set(text)) is not None]
         for text in self.scenes:
             _refuse_preset(text)
@@ -247,7 +253,8 @@ class ScenesExport:
         if not replaced:
             raise InputError(
                 f"No object of {self.objects} fits in the place of a movable thing of these scenes. Expected objects that are "
-                f"at most 8 cm larger than a thing; {len(models)} objects were read, and there are {movable} things."
+                f"at most 8 cm larger than a thing; {len(models)} objects were read, and there are {movable} things.",
+                code="H3-BODY-154",
             )
         return [scene for scene, _ in changed], {
             "replaced": replaced, "movable": movable, "models": {name: model.facts() for name, model in models.items()},
@@ -279,7 +286,9 @@ class ScenesExport:
 
         files = [self.out / f"{re.sub(r'[^A-Za-z0-9_-]+', '_', s.name)}.glb" for s in scenes]
         if len(set(files)) < len(files):
-            raise InputError("Two scenes have the same name: their files would overwrite each other.")
+            raise InputError(
+                "Two scenes have the same name: their files would overwrite each other.", code="H3-BODY-155"
+            )
         for file in files:
             claim_file(file, force=self.force)
         for scene, file in zip(scenes, files, strict=True):
@@ -318,11 +327,11 @@ class ScenesValidate:
     def run(self) -> Outcome:
         """Checks the scenes, draws their problems on plans if asked to, and returns a report."""
         if not self.scenes:
-            raise InputError(f"Expected at least one scene: {_SCENE_HELP}")
+            raise InputError(f"Expected at least one scene: {_SCENE_HELP}", code="H3-BODY-151")
         if not 0.05 <= self.radius <= 2:
-            raise InputError(f"--radius must be from 0.05 to 2 m, got {self.radius}.")
+            raise InputError(f"--radius must be from 0.05 to 2 m, got {self.radius}.", code="H3-BODY-156")
         if self.homes < 1:
-            raise InputError(f"--homes must be at least 1, got {self.homes}.")
+            raise InputError(f"--homes must be at least 1, got {self.homes}.", code="H3-BODY-147")
         scenes = {named.name: named for named in _all_named(self.scenes, self.homes, self.assets, self.strict)}
         targets = self._targets(list(scenes))
         reports = [
@@ -350,7 +359,9 @@ class ScenesValidate:
             return {names[0]: _png(self.out, force=self.force)}
         stems = {name: re.sub(r"[^A-Za-z0-9_-]+", "_", _stem(name)) for name in names}
         if len(set(stems.values())) < len(stems):
-            raise InputError("Two scenes have the same name: their images would overwrite each other.")
+            raise InputError(
+                "Two scenes have the same name: their images would overwrite each other.", code="H3-BODY-157"
+            )
         return {name: claim_file(self.out / f"{stem}.png", force=self.force) for name, stem in stems.items()}
 
 
@@ -365,13 +376,18 @@ def _named(
     text: str, homes: int, assets: Sequence[Path], strict: bool, allow_missing: bool = False
 ) -> tuple[NamedScene, ...]:
     if allow_missing and strict:
-        raise InputError("Choose either --strict, which refuses missing files, or --allow-missing, which skips them.")
+        raise InputError(
+            "Choose either --strict, which refuses missing files, or --allow-missing, which skips them.",
+            code="H3-BODY-142",
+        )
     return named_scenes(text, homes=homes, assets=assets, strict=strict, allow_missing=allow_missing)
 
 
 def _refuse_preset(text: str) -> None:
     if text in HOME_NAMES:
-        raise InputError(f"Expected a single home, {text!r} is a preset: add a seed, e.g. {text}:0.")
+        raise InputError(
+            f"Expected a single home, {text!r} is a preset: add a seed, e.g. {text}:0.", code="H3-BODY-143"
+        )
 
 
 def _one(text: str, assets: Sequence[Path], strict: bool, allow_missing: bool) -> NamedScene:
@@ -380,10 +396,13 @@ def _one(text: str, assets: Sequence[Path], strict: bool, allow_missing: bool) -
     if len(scenes) != 1 and is_collection(text):
         names = ", ".join(f"#{n.source.scene}" for n in scenes[:8] if isinstance(n.source, SceneFile))
         raise InputError(
-            f"Expected a single scene, the dataset has {len(scenes)}: add one to its path ({names or 'none'}): {text}"
+            f"Expected a single scene, the dataset has {len(scenes)}: add one to its path ({names or 'none'}): {text}",
+            code="H3-BODY-144",
         )
     if len(scenes) != 1:
-        raise InputError(f"Expected a single scene, {text!r} is a set of {len(scenes)}: name one, e.g. {text}#0.")
+        raise InputError(
+            f"Expected a single scene, {text!r} is a set of {len(scenes)}: name one, e.g. {text}#0.", code="H3-BODY-145"
+        )
     return scenes[0]
 
 
@@ -469,5 +488,5 @@ def _with_targets(episodes: EpisodeSet, folder: Path) -> EpisodeSet:
 
 def _png(path: Path, *, force: bool) -> Path:
     if path.suffix.lower() != ".png":
-        raise InputError(f"Expected a file name that ends in .png, got: {path}")
+        raise InputError(f"Expected a file name that ends in .png, got: {path}", code="H3-BODY-146")
     return claim_file(path, force=force)

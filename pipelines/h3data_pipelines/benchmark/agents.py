@@ -68,7 +68,9 @@ class RobotAgent:
             fits = discs_fit(self.free, self._base, xz, heading)
             if fits and self._is_clear(root_pose(self.body, xz, heading, self.free)):
                 return xz, heading
-        raise InputError(f"Found no place for {self.body.name} in {PLACES_TRIED} tries. Hint: a larger home.")
+        raise InputError(
+            f"Found no place for {self.body.name} in {PLACES_TRIED} tries. Hint: a larger home.", code="H3-OPTION-016"
+        )
 
     def sample(self, rng: np.random.Generator, action: Action) -> Array:
         """Random actions [W, n], -1..1."""

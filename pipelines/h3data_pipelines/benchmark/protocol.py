@@ -74,9 +74,11 @@ class BenchmarkWorlds:
         self.home, self.free = _home(cell.home)
         loose = [i for i in self.home.instances if i.motion != "static" and len(self.home.assets[i.asset].mesh.faces)]
         if not 1 <= cell.objects <= len(loose):
-            raise InputError(f"The {cell.home} home has 1 to {len(loose)} objects, got {cell.objects}.")
+            raise InputError(
+                f"The {cell.home} home has 1 to {len(loose)} objects, got {cell.objects}.", code="H3-OPTION-017"
+            )
         if cell.pictures == "arm" and "robot" not in cell.agents:
-            raise InputError(f"There is no arm camera: nobody of {cell.agents} is a robot.")
+            raise InputError(f"There is no arm camera: nobody of {cell.agents} is a robot.", code="H3-OPTION-018")
         self._loose = loose[: cell.objects]
         self.agents = self._make_agents()
         self._contact = AgentContacts(*(body_shapes(agent.body) for agent in self.agents))
@@ -164,7 +166,8 @@ class BenchmarkWorlds:
         """Time ``steps`` random steps but the first ``untimed``. Sampling actions is not timed, nor is the reset."""
         if not 0 <= untimed < steps:
             raise InputError(
-                f"Expected more than {untimed} steps, since the first {untimed} are not timed; got {steps}."
+                f"Expected more than {untimed} steps, since the first {untimed} are not timed; got {steps}.",
+                code="H3-OPTION-019",
             )
         rng = np.random.default_rng(seed)
         self.reset(rng)

@@ -77,15 +77,18 @@ class Convert:
     def run(self) -> Outcome:
         """Converts the recordings, in several processes if asked to, and returns the number of episodes and files."""
         if self.force and self.resume:
-            raise InputError("Choose one: --resume continues the output, --force replaces it.")
+            raise InputError("Choose one: --resume continues the output, --force replaces it.", code="H3-OPTION-022")
         if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
-            raise InputError(f"--nominal-fps must be at least 1 and at most 1000, got {self.nominal_fps}.")
+            raise InputError(
+                f"--nominal-fps must be at least 1 and at most 1000, got {self.nominal_fps}.", code="H3-OPTION-023"
+            )
         check_workers(self.executor, self.workers)
         sources = find_episodes([self._source])
         if self._out.suffix == ".mcap" and not self._out.is_dir():
             if len(sources) != 1 or self.to == "dataset":
                 raise InputError(
-                    f"{len(sources)} episodes cannot become one .mcap file. Name a folder instead: {self._out}"
+                    f"{len(sources)} episodes cannot become one .mcap file. Name a folder instead: {self._out}",
+                    code="H3-OPTION-026",
                 )
             return self._report([self.log(sources[0], self._out)], "mcap")
         self._refuse_itself()
@@ -93,7 +96,10 @@ class Convert:
         if to == "auto":
             of_datasets = {source.index is not None or "#" in source.name for source in sources}
             if len(of_datasets) > 1:
-                raise InputError("The input holds logs and datasets. Choose the output: --to mcap or --to dataset.")
+                raise InputError(
+                    "The input holds logs and datasets. Choose the output: --to mcap or --to dataset.",
+                    code="H3-OPTION-027",
+                )
             to = "mcap" if of_datasets.pop() else "dataset"
         return self._report(self._dataset(sources) if to == "dataset" else self._logs(sources), to)
 
@@ -109,7 +115,10 @@ class Convert:
         """Refuses an output inside the input, which would be read too, and one around it, which would be replaced."""
         source, out = (Path(os.path.abspath(p)) if isinstance(p, Path) else p for p in (self._source, self._out))
         if out == source or source in out.parents or out in source.parents:
-            raise InputError(f"One of input and output contains the other; choose another output folder: {self._out}")
+            raise InputError(
+                f"One of input and output contains the other; choose another output folder: {self._out}",
+                code="H3-OPTION-024",
+            )
 
     # --- to logs --------------------------------------------------------------------------------------------------
     def _logs(self, sources: list[StoredEpisode]) -> list[dict[str, Any]]:
@@ -144,7 +153,9 @@ class Convert:
         try:
             if self.resume and target.is_file():  # only complete files have this name
                 if source.read().episode.uid != _read_log(target).episode.uid:
-                    raise InputError(f"This is another episode. --resume needs the same input: {target}")
+                    raise InputError(
+                        f"This is another episode. --resume needs the same input: {target}", code="H3-OPTION-028"
+                    )
                 return {**row, "status": "kept"}
             recording = source.read()
             claim_file(target, force=self.force)
@@ -159,7 +170,7 @@ class Convert:
         """Folder whose recordings share their scenes, if they do."""
         folder = target.parent if target == self._out else self._out
         if self.share_scenes and not isinstance(folder, Path):
-            raise InputError(f"--share-scenes needs a local output folder, got: {self._out}")
+            raise InputError(f"--share-scenes needs a local output folder, got: {self._out}", code="H3-OPTION-025")
         return folder if self.share_scenes and isinstance(folder, Path) else None
 
     # --- to a dataset ---------------------------------------------------------------------------------------------
@@ -262,7 +273,9 @@ def _require_equal(recording: Recording, stored: Recording, path: AnyPath) -> No
 
     differences = recordings_equal(recording, stored)
     if differences:
-        raise H3DataError(f"The output differs from the input: {'; '.join(differences[:4])}: {path}")
+        raise H3DataError(
+            f"The output differs from the input: {'; '.join(differences[:4])}: {path}", code="H3-OPTION-021"
+        )
 
 
 def _readable(sources: list[StoredEpisode]) -> Iterator[Recording]:
@@ -281,4 +294,4 @@ def _steps_per_second(sources: list[StoredEpisode]) -> int:
         except H3DataError as error:
             errors.append(error)
     several = f"None of {len(sources)} episodes can be read. The first: " if len(sources) > 1 else ""
-    raise InputError(f"{several}{errors[0]}")
+    raise InputError(f"{several}{errors[0]}", code="H3-OPTION-020")

@@ -89,9 +89,11 @@ class Demo:
         from h3data.metrics import measure_many
 
         if self.steps < 1:
-            raise InputError(f"--steps must be at least 1, got {self.steps}.")
+            raise InputError(f"--steps must be at least 1, got {self.steps}.", code="H3-OPTION-029")
         if not 0 < self.human_speed <= 4:
-            raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
+            raise InputError(
+                f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.", code="H3-OPTION-030"
+            )
         size = parse_size(self.size)
         if "rerun" not in VIEWERS.names():
             VIEWERS.get("rerun")  # says which package is missing, before anything is done

@@ -116,13 +116,17 @@ class Export:
         """Writes the recordings in the other format and returns the files."""
         form = export_format(self.to)
         if self.backend != "cpu" and "cameras" not in form.write_options:
-            raise InputError(f"--backend is not for {form.option}, but for {_formats_with('cameras')}. Leave it out.")
+            raise InputError(
+                f"--backend is not for {form.option}, but for {_formats_with('cameras')}. Leave it out.",
+                code="H3-OPTION-034",
+            )
         check_backend(self.backend)
         given = {option: getattr(self, option) for option in ("agent", "assets", "people", "stand_ins", "cameras")}
         for option, value in {**given, "person_detail": self.person_detail}.items():
             if value not in (None, (), "skin", "full", False) and option not in form.write_options:
                 raise InputError(
-                    f"--{option.replace('_', '-')} is not for {form.option}, but for {_formats_with(option)}. Leave it out."
+                    f"--{option.replace('_', '-')} is not for {form.option}, but for {_formats_with(option)}. Leave it out.",
+                    code="H3-OPTION-035",
                 )
         recordings: Iterable[Recording]
         sources: list[StoredEpisode] = []
@@ -171,7 +175,10 @@ class Export:
         elif self.force:
             source, target = Path(str(self.recording).partition("#")[0]).resolve(), self.out.resolve()
             if source == target or target in source.parents:
-                raise InputError(f"--force would delete what is exported. Choose another folder with -o: {self.out}")
+                raise InputError(
+                    f"--force would delete what is exported. Choose another folder with -o: {self.out}",
+                    code="H3-OPTION-036",
+                )
             remove_dataset(self.out)
 
 

@@ -248,9 +248,11 @@ class Generate:
         from h3data.recording import Dataset, DatasetWriter
 
         if self.force and self.resume:
-            raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
+            raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.", code="H3-OPTION-038")
         if self.share_scenes and not self.mcap:
-            raise InputError("--share-scenes is for logs (--mcap): a dataset stores each scene once anyway.")
+            raise InputError(
+                "--share-scenes is for logs (--mcap): a dataset stores each scene once anyway.", code="H3-OPTION-039"
+            )
         if self.cameras and self.executor == "local":
             check_backend(self.backend)
         out = place(self.out)
@@ -332,7 +334,9 @@ class Generate:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
         played = first_played(writer)
         if played is not None and self.cameras and (light := played.episode.info.get("light", "flat")) != self.light:
-            raise InputError(f"The videos of {self.out} are in {light} light, as --light {light} makes them.")
+            raise InputError(
+                f"The videos of {self.out} are in {light} light, as --light {light} makes them.", code="H3-OPTION-040"
+            )
         waiting: list[RenderedVideo] = []
         uncommitted, failures = 0, 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
@@ -364,7 +368,8 @@ class Generate:
             first = waiting[0].recording.episode
             raise H3DataError(
                 f"No episode could be played, {counted(len(waiting), 'episode')} failed. The first, {first.episode_id} in "
-                f"{first.scene} (seed {first.seed}): {first.info['failed']}"
+                f"{first.scene} (seed {first.seed}): {first.info['failed']}",
+                code="H3-OPTION-041",
             )
 
     def jobs(self) -> Sequence[Job]:
@@ -377,7 +382,7 @@ class Generate:
             episodes=self.episodes, homes=self.homes, max_steps=self.max_steps, seed=self.seed, human_speed=self.human_speed
         )  # fmt: skip
         if self.spawn_distance is not None and not 0 <= self.spawn_distance < math.inf:
-            raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.")
+            raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.", code="H3-OPTION-042")
         check_workers(self.executor, self.workers)
         choices = Choices(
             task=self.task,

@@ -48,7 +48,7 @@ class Info:
     def run(self) -> Outcome:
         """Returns a description of each path."""
         if not self.paths:
-            raise InputError("Expected at least one recording (.mcap), dataset or episode file.")
+            raise InputError("Expected at least one recording (.mcap), dataset or episode file.", code="H3-OPTION-043")
         described = [part for path in map(place, self.paths) for part in _described(path)]
         faults = sum("error" in data for _, data in described)
         if faults == len(described) == 1:

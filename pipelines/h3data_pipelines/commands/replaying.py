@@ -55,11 +55,14 @@ class ReplayCommand:
         """Verifies the recording, or writes its continuation or counterfactual."""
         continues = self.resume_from is not None or self.counterfactual
         if self.verify == continues:
-            raise InputError("Choose what to do: --verify, or --resume-from K or --counterfactual or both.")
+            raise InputError(
+                "Choose what to do: --verify, or --resume-from K or --counterfactual or both.", code="H3-OPTION-049"
+            )
         if self.verify:
             if self.policies or self.partners or self.out is not None:
                 raise InputError(
-                    "--verify repeats the recording and writes nothing: leave out --policy, --partner and -o."
+                    "--verify repeats the recording and writes nothing: leave out --policy, --partner and -o.",
+                    code="H3-OPTION-053",
                 )
             return self._verify()
         return self._continue()
@@ -95,11 +98,13 @@ class ReplayCommand:
         from sim_kinematic.tasks.resume import counterfactual, resume
 
         if self.out is None or self.out.suffix != ".mcap":
-            raise InputError(f"Expected a .mcap file to write with -o, got {self.out or 'none'}.")
+            raise InputError(f"Expected a .mcap file to write with -o, got {self.out or 'none'}.", code="H3-OPTION-050")
         if self.counterfactual and not self.policies:
-            raise InputError("--counterfactual needs the other policy: --policy NAME.")
+            raise InputError("--counterfactual needs the other policy: --policy NAME.", code="H3-OPTION-051")
         if self.counterfactual and self.partners:
-            raise InputError("With --counterfactual people keep their tracks: leave out --partner.")
+            raise InputError(
+                "With --counterfactual people keep their tracks: leave out --partner.", code="H3-OPTION-052"
+            )
         out = claim_file(self.out, force=self.force)
         old, step = open_episode(self.recording), self.resume_from or 0
         if self.counterfactual:

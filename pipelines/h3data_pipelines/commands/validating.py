@@ -59,7 +59,7 @@ class Validate:
         """Checks all episodes, in several processes if asked to, and returns the findings."""
         check_workers(self.executor, self.workers)
         if not self.paths:
-            raise InputError("Expected at least one recording (.mcap) or dataset.")
+            raise InputError("Expected at least one recording (.mcap) or dataset.", code="H3-METRIC-002")
         parts = episode_parts(self.paths, together=_TOGETHER)
         rows: list[dict[str, Any]] = []
         bar = progress(total=parts[0].count if parts else 0, desc="validate", unit="episode")

@@ -115,7 +115,7 @@ def _alone(work: Callable[[S], R], shard: S, lost: Callable[[S, LostShardError],
                 return _submitted(pool, work, shard).result()
         except BrokenProcessPool:
             continue
-    fault = LostShardError(f"No process survived it in {TRIES} tries, perhaps for lack of memory")
+    fault = LostShardError(f"No process survived it in {TRIES} tries, perhaps for lack of memory", code="H3-JOB-003")
     if lost is None:
         raise fault
     return lost(shard, fault)

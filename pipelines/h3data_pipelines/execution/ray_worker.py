@@ -102,7 +102,7 @@ def _pickled(error: Exception) -> bytes:
         text = pickle.dumps(error)
         pickle.loads(text)
     except Exception:
-        return pickle.dumps(H3DataError(f"{type(error).__name__}: {error}"))
+        return pickle.dumps(H3DataError(f"{type(error).__name__}: {error}", code="H3-JOB-012"))
     return text
 
 

@@ -93,7 +93,7 @@ class Card:
             text = card_text(dataset, title=self.title or root.resolve().name, license=self.license, repo=self.repo)
             return Outcome(text=text, data={"card": text})
         if path.exists() and not self.force:
-            raise InputError(f"The dataset has a card. Use --force to overwrite it: {path}")
+            raise InputError(f"The dataset has a card. Use --force to overwrite it: {path}", code="H3-HUB-001")
         write_card(dataset, title=self.title, license=self.license, repo=self.repo)
         return Outcome(text=f"wrote {path} and {PICTURE}", data={"card": str(path)}, result=path)
 

@@ -78,11 +78,14 @@ class Pull:
         names = [name for name in sizes if name.partition("/")[0] in PARTS or name in _BESIDE]
         if "h3/schema.json" not in names:
             raise InputError(
-                f"Expected a dataset that h3data wrote, this one has no h3/schema.json: {api.endpoint}/datasets/{repo}"
+                f"Expected a dataset that h3data wrote, this one has no h3/schema.json: {api.endpoint}/datasets/{repo}",
+                code="H3-HUB-007",
             )
         free = shutil.disk_usage(out.parent).free
         if (size := sum(sizes[name] for name in names)) > free:
-            raise InputError(f"The dataset takes {size_text(size)}, the disk has {size_text(free)} left: {out}")
+            raise InputError(
+                f"The dataset takes {size_text(size)}, the disk has {size_text(free)} left: {out}", code="H3-HUB-008"
+            )
         with keeping(lambda: f"what is downloaded is in {part}: the same command goes on"):
             with hub_errors(repo, to="pull"):
                 _download(api, repo, commit, names, part)

@@ -74,7 +74,7 @@ class Push:
         dataset, repo = Dataset(local(self.dataset)), checked_repo(self.repo)
         root, api = Path(str(dataset.root)), hub_api()
         if not len(dataset):
-            raise InputError(f"The dataset has no episodes: {root}")
+            raise InputError(f"The dataset has no episodes: {root}", code="H3-HUB-009")
         if not (root / CARD).exists():
             write_card(dataset, repo=repo)
         names = files_of(root)

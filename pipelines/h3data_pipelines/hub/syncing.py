@@ -77,11 +77,11 @@ class Sync:
         """Copies the files that are missing in the target and returns how many there were."""
         source, target = place(self.source), place(self.target)
         if not is_dataset(source):
-            raise InputError(f"Expected a dataset to copy, there is none: {source}")
+            raise InputError(f"Expected a dataset to copy, there is none: {source}", code="H3-HUB-013")
         if _same_place(source, target):
-            raise InputError(f"The source and the target are the same: {source}")
+            raise InputError(f"The source and the target are the same: {source}", code="H3-HUB-014")
         if isinstance(target, Path) and target.exists() and not target.is_dir():
-            raise InputError(f"Expected a folder for the copy, this is a file: {target}")
+            raise InputError(f"Expected a folder for the copy, this is a file: {target}", code="H3-HUB-015")
         info = _read(source / _INFO)  # before the list: its count must not be ahead of the tables
         sizes = {name: size for name, size in sizes_below(source).items() if _belongs(name)}
         there = {name: size for name, size in sizes_below(target).items() if _belongs(name)}
@@ -173,7 +173,9 @@ def _copy_file(source: AnyPath, target: AnyPath, name: str, info: bytes | None) 
 
 def _require_digest(path: AnyPath, digest: str) -> None:
     if _sha256(path) != digest:
-        raise FormatError(f"The copy differs from the original; it may have changed meanwhile. Try again: {path}")
+        raise FormatError(
+            f"The copy differs from the original; it may have changed meanwhile. Try again: {path}", code="H3-HUB-010"
+        )
 
 
 def _sha256(path: AnyPath) -> str:
@@ -220,7 +222,8 @@ def _require_a_copy(source: AnyPath, target: AnyPath, there: dict[str, int], siz
     if others := sorted(there.keys() - sizes.keys()):
         raise InputError(
             f"The target holds {counted(len(others), 'file')} that the source lacks, the first: {others[0]}. --force deletes "
-            f"them and makes the target equal: {target}"
+            f"them and makes the target equal: {target}",
+            code="H3-HUB-011",
         )
     if not any(name.startswith("meta/episodes/") for name in there):
         return
@@ -229,6 +232,10 @@ def _require_a_copy(source: AnyPath, target: AnyPath, there: dict[str, int], siz
     try:
         mine, theirs = ([row["uid"] for row in Dataset(root).rows] for root in (source, target))
     except FormatError as error:
-        raise InputError(f"The target cannot be read as a dataset; --force copies over it ({error})") from None
+        raise InputError(
+            f"The target cannot be read as a dataset; --force copies over it ({error})", code="H3-HUB-016"
+        ) from None
     if mine[: len(theirs)] != theirs:
-        raise InputError(f"The target holds other episodes than the source; --force replaces them: {target}")
+        raise InputError(
+            f"The target holds other episodes than the source; --force replaces them: {target}", code="H3-HUB-012"
+        )

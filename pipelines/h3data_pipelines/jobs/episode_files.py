@@ -150,7 +150,7 @@ def file_jobs(
         try:
             stored = storage.read(entry, seed=episode_seed(seed, i))
             if stored is None:
-                raise InputError(_not_of_task(entry, choices.found_task, path))
+                raise InputError(_not_of_task(entry, choices.found_task, path), code="H3-JOB-015")
             rules = storage.rules(stored)
             source = scene_of_episode(entry, stored, path.parent, assets=assets, allow_missing=allow_missing)
             stand_ins |= dict.fromkeys(storage.stand_ins(stored, source))
@@ -231,7 +231,9 @@ def widest_episode(jobs: Sequence[Job]) -> tuple[Recording, ...]:
 def claim_episode_file(path: Path, *, force: bool) -> None:
     """Refuses a file that exists or is not called like an episode file."""
     if not path.name.endswith((".json.gz", ".json")):
-        raise InputError(f"--save-episodes: expected a file name that ends in .json.gz or .json, got: {path}")
+        raise InputError(
+            f"--save-episodes: expected a file name that ends in .json.gz or .json, got: {path}", code="H3-JOB-014"
+        )
     claim_file(path, force=force)
 
 

@@ -179,7 +179,9 @@ class Choices:
             if (asked := getattr(self, option)) is None:
                 continue
             if name in rules:
-                raise InputError(f"Expected --{option.replace('_', '-')} or --set {name}=..., got both.")
+                raise InputError(
+                    f"Expected --{option.replace('_', '-')} or --set {name}=..., got both.", code="H3-JOB-048"
+                )
             rules[name] = asked
         return with_options(base, human_walk=self.human_walk, human_speed=self.human_speed, **rules)
 
@@ -239,10 +241,12 @@ def with_skills(choices: Choices, skills: str) -> Choices:
     if not skills:
         return choices
     if not hasattr(choices.found_task.default_spec(), "skills"):
-        raise InputError(f"--skills is for rearrange, not for {choices.task}.")
+        raise InputError(f"--skills is for rearrange, not for {choices.task}.", code="H3-JOB-016")
     if skills == ORACLE:
         if choices.human_walk is not None or choices.human_speed is not None:
-            raise InputError("--skills oracle has the paper's people: no --human-walk or --human-speed.")
+            raise InputError(
+                "--skills oracle has the paper's people: no --human-walk or --human-speed.", code="H3-JOB-024"
+            )
         return replace(choices, oracle=True)
     return replace(choices, rules=(*choices.rules, ("skills", recorded_skills(skills))))
 
@@ -272,11 +276,11 @@ def check_numbers(
         ("--episodes", episodes, 1), ("--homes", homes, 1), ("--max-steps", max_steps, 1), ("--seed", seed, 0),
     ):  # fmt: skip
         if value is not None and value < least:
-            raise InputError(f"{name} must be at least {least}, got {value}.")
+            raise InputError(f"{name} must be at least {least}, got {value}.", code="H3-JOB-025")
     if episodes is not None and episodes > sys.maxsize:
-        raise InputError(f"--episodes must be at most {sys.maxsize}, got {episodes}.")
+        raise InputError(f"--episodes must be at most {sys.maxsize}, got {episodes}.", code="H3-JOB-017")
     if human_speed is not None and not 0 < human_speed <= 4:
-        raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {human_speed}.")
+        raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {human_speed}.", code="H3-JOB-018")
 
 
 def make_jobs(
@@ -375,7 +379,9 @@ def refuse_beside(option: str, **given: bool) -> None:
     """Refuses options that a stored episode decides already."""
     for name, is_given in given.items():
         if is_given:
-            raise InputError(f"{option} says where the episodes start: leave out --{name.replace('_', '-')}.")
+            raise InputError(
+                f"{option} says where the episodes start: leave out --{name.replace('_', '-')}.", code="H3-JOB-026"
+            )
 
 
 def checked(choices: Choices) -> Choices:
@@ -400,7 +406,8 @@ def checked(choices: Choices) -> Choices:
     if choices.motion is not None:
         if "human" not in kinds:
             raise InputError(
-                f"--motion is how people walk, but there are none in --agents {','.join(choices.agents or ())}."
+                f"--motion is how people walk, but there are none in --agents {','.join(choices.agents or ())}.",
+                code="H3-JOB-027",
             )
         load_humanoid(f"{human or HUMAN_BODY}+{choices.motion}")
     named = {"robot": choices.policy, "human": choices.partner}
@@ -410,7 +417,9 @@ def checked(choices: Choices) -> Choices:
             continue
         if kind not in kinds:
             who = ",".join(choices.agents or task.agents)
-            raise InputError(f"{option} {names} is for a {kind}, but there is none in --agents {who}.")
+            raise InputError(
+                f"{option} {names} is for a {kind}, but there is none in --agents {who}.", code="H3-JOB-028"
+            )
         named[kind] = ",".join(map(stamped, names.split(",")))
         for name in each_of(names, kinds.count(kind), kind):
             resolve_policy(task, kind, name, spec)
@@ -418,7 +427,8 @@ def checked(choices: Choices) -> Choices:
         raise InputError(
             f"The policy {SOLO} leaves robots away, so somebody else must be there. Expected a person in --agents."
             if task.can_be_solo
-            else f"{task.name} needs a robot: the policy {SOLO} is for rearrange."
+            else f"{task.name} needs a robot: the policy {SOLO} is for rearrange.",
+            code="H3-JOB-019",
         )
     return replace(
         choices,
@@ -453,7 +463,9 @@ def sampled_body(choice: str, seed: int, person: int = 0) -> str:
 def chosen_count(wanted: int | None, there: int, label: str) -> int:
     """How many of the episodes that exist: all of them, or as many as are wanted."""
     if there < 1:
-        raise InputError(f"There are no episodes in {label}.")
+        raise InputError(f"There are no episodes in {label}.", code="H3-JOB-022")
     if wanted is not None and wanted > there:
-        raise InputError(f"--episodes must be at most {there}, which is all of {label}; got {wanted}.")
+        raise InputError(
+            f"--episodes must be at most {there}, which is all of {label}; got {wanted}.", code="H3-JOB-023"
+        )
     return there if wanted is None else wanted

@@ -92,7 +92,8 @@ class EvaluationRequest:
         if strangers := [name for name in self.population if name not in partners]:
             raise InputError(
                 f"--unseen-partners: expected partners that are evaluated ({', '.join(partners) or 'none'}), got "
-                f"{', '.join(strangers)}."
+                f"{', '.join(strangers)}.",
+                code="H3-JOB-049",
             )
         choices = Choices(
             task=self.task, policy=policies[0], partner=partners[0] if partners else None, robot=self.robot, human=self.human,

@@ -145,7 +145,7 @@ def files_of(policy: str) -> tuple[str, ...]:
         return (policy,)
     found = sorted(path for path in glob.glob(pattern, recursive=True) if Path(path).is_file())
     if not found:
-        raise InputError(f"No file of weights fits this pattern: {policy}")
+        raise InputError(f"No file of weights fits this pattern: {policy}", code="H3-JOB-031")
     return tuple(PREFIX + path for path in found)
 
 
@@ -162,7 +162,7 @@ def chosen_names(asked: Sequence[str], there: Sequence[str]) -> tuple[str, ...]:
 
     names = dict.fromkeys(each for name in asked for each in (there if name == ALL else files_of(name)))
     if not names:
-        raise InputError("Expected at least one policy and partner by name, or all; got none.")
+        raise InputError("Expected at least one policy and partner by name, or all; got none.", code="H3-JOB-050")
     return tuple(map(stamped, names))
 
 

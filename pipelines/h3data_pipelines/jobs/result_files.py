@@ -45,7 +45,7 @@ def check_options(*, resume: bool, force: bool, workers: int, executor: str) -> 
     """
     check_workers(executor, workers)
     if force and resume:
-        raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.")
+        raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.", code="H3-JOB-043")
 
 
 def results_of(
@@ -81,7 +81,9 @@ def results_of(
     """
     folder = out / RESULTS
     if resume and not folder.is_dir():
-        raise InputError(f"There is no evaluation to go on with; leave out --resume, or check -o: {out}")
+        raise InputError(
+            f"There is no evaluation to go on with; leave out --resume, or check -o: {out}", code="H3-JOB-044"
+        )
     files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
     with opened(executor, workers) as workforce:  # first: where nobody can work, nothing is deleted or written
         claim_folder(out, force=force or folder.is_dir())  # with episodes/ it is an evaluation to go on with
@@ -137,9 +139,12 @@ def _is_done(file: Path, job: EpisodeJob) -> bool:
         found = json.loads(file.read_text(encoding="utf-8"))
         was, failed = found["job"], found["failed"]
     except (ValueError, KeyError, TypeError):
-        raise FormatError(f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}") from None
+        raise FormatError(
+            f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}", code="H3-JOB-046"
+        ) from None
     if was != job.to_json():
         raise InputError(
-            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
+            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}",
+            code="H3-JOB-045",
         )
     return not failed

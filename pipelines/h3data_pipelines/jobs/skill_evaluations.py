@@ -141,7 +141,9 @@ def evaluate_skills(
     check_options(resume=resume, force=force, workers=workers, executor=executor)
     jobs = [SkillJob(evaluation.base, request.seed) for evaluation in request.jobs()]
     if not (skills := jobs[0].base.spec.skills):
-        raise InputError("Expected --skills: learned, a folder of training runs, or policy files of skills.")
+        raise InputError(
+            "Expected --skills: learned, a folder of training runs, or policy files of skills.", code="H3-JOB-047"
+        )
     played, new = results_of(
         jobs, out, judge_episode, lost=lost_episode, store=lambda result: result, resume=resume, force=force,
         workers=workers, executor=executor, progress=progress,

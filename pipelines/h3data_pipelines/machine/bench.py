@@ -110,12 +110,16 @@ class Bench:
 
         if self.group != "sim":
             raise InputError(
-                f"Unknown benchmark {self.group!r}. Expected: sim. Hint: the others run in a checkout: make bench."
+                f"Unknown benchmark {self.group!r}. Expected: sim. Hint: the others run in a checkout: make bench.",
+                code="H3-MACHINE-004",
             )
         if self.runs < 1:
-            raise InputError(f"--runs must be at least 1, got {self.runs}.")
+            raise InputError(f"--runs must be at least 1, got {self.runs}.", code="H3-MACHINE-005")
         if self.steps <= UNTIMED:
-            raise InputError(f"--steps must be more than {UNTIMED}, the steps that are not timed; got {self.steps}.")
+            raise InputError(
+                f"--steps must be more than {UNTIMED}, the steps that are not timed; got {self.steps}.",
+                code="H3-MACHINE-006",
+            )
         chosen: Any = product(  # texts that `_names` has checked
             _names("--homes", self.homes, HOMES),
             _numbers("--objects", self.objects, OBJECTS),
@@ -130,16 +134,20 @@ class Bench:
             if body == "skinned" or "human" in agents  # robots have no skin
         ]
         if not cells:
-            raise InputError("Nothing is left to measure: robots have no skin. Hint: --bodies skinned.")
+            raise InputError(
+                "Nothing is left to measure: robots have no skin. Hint: --bodies skinned.", code="H3-MACHINE-007"
+            )
         return cells
 
     def processes(self) -> int:
         """Largest number of processes that share the worlds."""
         if self.cores is not None and self.cores < 1:
-            raise InputError(f"--cores must be at least 1, got {self.cores}.")
+            raise InputError(f"--cores must be at least 1, got {self.cores}.", code="H3-MACHINE-008")
         if self.backend == "gpu":
             if self.cores not in (None, 1):
-                raise InputError("With --backend gpu one process renders all worlds. Hint: leave out --cores.")
+                raise InputError(
+                    "With --backend gpu one process renders all worlds. Hint: leave out --cores.", code="H3-MACHINE-009"
+                )
             return 1
         return self.cores or len(os.sched_getaffinity(0))
 
@@ -263,7 +271,9 @@ def _check_gpu() -> None:
     from h3data.errors import MissingExtraError
 
     if not torch.cuda.is_available():
-        raise MissingExtraError("--backend gpu needs a CUDA device, and PyTorch finds none. Hint: --backend cpu.")
+        raise MissingExtraError(
+            "--backend gpu needs a CUDA device, and PyTorch finds none. Hint: --backend cpu.", code="H3-MACHINE-001"
+        )
 
 
 def _table(rows: Iterable[dict[str, Any]]) -> list[str]:
@@ -294,7 +304,8 @@ def _names(option: str, given: tuple[str, ...], choices: tuple[str, ...]) -> tup
     unknown = [name for name in names if name not in choices]
     if unknown:
         raise InputError(
-            f"{option}: unknown {', '.join(map(repr, unknown))}. Expected some of: {', '.join(choices)}; or all."
+            f"{option}: unknown {', '.join(map(repr, unknown))}. Expected some of: {', '.join(choices)}; or all.",
+            code="H3-MACHINE-002",
         )
     return names
 
@@ -302,5 +313,7 @@ def _names(option: str, given: tuple[str, ...], choices: tuple[str, ...]) -> tup
 def _numbers(option: str, given: tuple[str, ...], usual: tuple[str, ...]) -> tuple[int, ...]:
     words = usual if given == (ALL,) else tuple(dict.fromkeys(given))
     if not all(word.isascii() and word.isdecimal() and int(word) >= 1 for word in words):
-        raise InputError(f"{option}: expected positive whole numbers, or all; got {', '.join(given)!r}.")
+        raise InputError(
+            f"{option}: expected positive whole numbers, or all; got {', '.join(given)!r}.", code="H3-MACHINE-020"
+        )
     return tuple(map(int, words))

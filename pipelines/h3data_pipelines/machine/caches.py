@@ -107,7 +107,7 @@ class CacheClear:
         """Deletes the caches and returns how many bytes became free."""
         for name in self.names:
             if name not in KINDS:
-                raise InputError(f"Unknown cache {name!r}.{suggest(name, KINDS)}")
+                raise InputError(f"Unknown cache {name!r}.{suggest(name, KINDS)}", code="H3-MACHINE-011")
         freed: dict[str, int] = {}
         for cache in find_caches():
             if cache.name in (self.names or KINDS):
@@ -122,7 +122,7 @@ def _delete(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"Cannot delete a cached file ({error.strerror}): {path}") from None
+        raise InputError(f"Cannot delete a cached file ({error.strerror}): {path}", code="H3-MACHINE-010") from None
 
 
 CACHE = Group("List and clear the caches of h3data.", {"list": CacheList, "clear": CacheClear})

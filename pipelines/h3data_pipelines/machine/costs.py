@@ -58,7 +58,9 @@ class Costs:
         try:
             return cls(**values["costs"])
         except (TypeError, KeyError):
-            raise InputError("Expected costs as `h3data plan TASK --measure --json` prints them.") from None
+            raise InputError(
+                "Expected costs as `h3data plan TASK --measure --json` prints them.", code="H3-MACHINE-012"
+            ) from None
 
 
 def measure_costs(task: str, *, episodes: int = 4, max_steps: int = 600) -> Costs:

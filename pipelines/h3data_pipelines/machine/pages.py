@@ -50,7 +50,10 @@ class Docs:
             return _entry(self.name.upper(), pages["errors"].read_text(encoding="utf-8"))
         name = re.sub(r"^docs/|(\.md|\.html)?(#.*)?$", "", self.name)
         if name not in pages:
-            raise InputError(f"Unknown page {self.name!r}.{suggest(name, pages)} `h3data docs` lists the pages.")
+            raise InputError(
+                f"Unknown page {self.name!r}.{suggest(name, pages)} `h3data docs` lists the pages.",
+                code="H3-MACHINE-014",
+            )
         text = pages[name].read_text(encoding="utf-8")
         if sys.stdout.isatty() and not (self.print or self.json):
             pydoc.pager(text)
@@ -93,7 +96,10 @@ def _entry(code: str, page: str) -> Outcome:
     """What the page of errors says about a code."""
     kinds = {kind.code: kind for kind in error_kinds(page)}
     if code not in kinds:
-        raise InputError(f"Unknown code {code!r}.{did_you_mean(code, kinds)} `h3data docs errors` lists all of them.")
+        raise InputError(
+            f"Unknown code {code!r}.{did_you_mean(code, kinds)} `h3data docs errors` lists all of them.",
+            code="H3-MACHINE-013",
+        )
     kind = kinds[code]
     by_class = {name: (about, to_do) for name, about, to_do in _rows(page, of=3)}
     about, to_do = by_class[kind.error]

@@ -58,9 +58,11 @@ class Plan:
         """Returns the forecast for several numbers of cores, or the costs measured on this machine."""
         for name in ("episodes", "cores", "datasets", "scenes"):
             if getattr(self, name) < 1:
-                raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}.")
+                raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}.", code="H3-MACHINE-017")
         if strangers := [name for name in self.cameras if name not in FRAMES]:
-            raise InputError(f"--camera: expected some of {', '.join(FRAMES)}, got {', '.join(strangers)}.")
+            raise InputError(
+                f"--camera: expected some of {', '.join(FRAMES)}, got {', '.join(strangers)}.", code="H3-MACHINE-015"
+            )
         costs = self._costs()
         if self.measure:
             return Outcome(text=_costs_text(costs), data={"costs": costs.to_json()})
@@ -74,9 +76,11 @@ class Plan:
         try:
             costs = Costs.from_json(json_module.loads(self.costs.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
-            raise InputError(f"Cannot read the costs ({error}): {self.costs}") from None
+            raise InputError(f"Cannot read the costs ({error}): {self.costs}", code="H3-MACHINE-018") from None
         if costs.task != self.task:
-            raise InputError(f"Expected costs of {self.task}, these are of {costs.task}: {self.costs}")
+            raise InputError(
+                f"Expected costs of {self.task}, these are of {costs.task}: {self.costs}", code="H3-MACHINE-016"
+            )
         return costs
 
     def _row(self, costs: Costs, cores: int) -> dict[str, Any]:

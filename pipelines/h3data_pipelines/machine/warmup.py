@@ -108,7 +108,10 @@ def _run_apart(name: str) -> dict[str, Any]:
     process = _start([name], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     report, errors = process.communicate()
     if process.returncode:
-        raise H3DataError(f"Compiling the kernels of {name} failed: {(errors.strip().splitlines() or ['killed'])[-1]}")
+        raise H3DataError(
+            f"Compiling the kernels of {name} failed: {(errors.strip().splitlines() or ['killed'])[-1]}",
+            code="H3-MACHINE-019",
+        )
     return jsonlib.loads(report) | {"wall_s": round(time.perf_counter() - start, 1)}
 
 

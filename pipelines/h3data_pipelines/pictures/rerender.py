@@ -151,7 +151,7 @@ class Rerender:
         parse_size(self.size)
         local(self.out)
         if not self.recordings:
-            raise InputError("Expected at least one recording (.mcap).")
+            raise InputError("Expected at least one recording (.mcap).", code="H3-RENDER-089")
         if self.executor == "local" and not self.dry_run:  # elsewhere, each worker looks for itself
             check_backend(self.backend)
         check_workers(self.executor, self.workers)
@@ -160,7 +160,8 @@ class Rerender:
         if twice:
             raise InputError(
                 f"Several recordings are called {min(twice)!r}: their videos would overwrite each other. "
-                "Render them one at a time, each with a different -o."
+                "Render them one at a time, each with a different -o.",
+                code="H3-RENDER-090",
             )
         lines, rows = [], []
         with keeping(lambda: self._kept(rows)), ExitStack() as stack:
@@ -204,7 +205,9 @@ class Rerender:
             tracks = [track.resized(*size) for track in tracks]
         names = [track.camera.name for track in tracks]
         if len(set(names)) < len(names):
-            raise InputError("Two cameras have the same name, so their files would overwrite each other.")
+            raise InputError(
+                "Two cameras have the same name, so their files would overwrite each other.", code="H3-RENDER-091"
+            )
         steps = parse_steps(self.steps, len(replay))
         if self.dry_run:
             files = [
@@ -342,10 +345,11 @@ def _disk_errors(folder: Path) -> Iterator[None]:
             free = shutil.disk_usage(folder).free / 1e6 if folder.is_dir() else 0
             raise DiskFullError(
                 f"The disk is full ({free:.0f} MB free). Complete files are kept; free some space and run the same "
-                f"command again to continue: {folder}"
+                f"command again to continue: {folder}",
+                code="H3-RENDER-093",
             ) from None
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.ENAMETOOLONG):
-            raise InputError(f"Cannot write here ({error.strerror}): {folder}") from None
+            raise InputError(f"Cannot write here ({error.strerror}): {folder}", code="H3-RENDER-094") from None
         raise
 
 
@@ -355,7 +359,8 @@ def _refuse_existing(targets: Sequence[Target]) -> None:
             kind = "folder" if target.path.is_dir() else "file"
             raise InputError(
                 f"The output {kind} exists but was made from another recording, camera or range of steps. Use --force to "
-                f"overwrite it, or another -o: {target.path}"
+                f"overwrite it, or another -o: {target.path}",
+                code="H3-RENDER-092",
             )
 
 
@@ -366,7 +371,10 @@ def parse_size(text: str) -> tuple[int, int] | None:
     sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     width, height = (int(side) for side in sides.groups()) if sides else (0, 0)
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
-        raise InputError(f"Expected a size such as 1280x720, of at most {MAX_SIDE_PX} pixels a side, got {text!r}.")
+        raise InputError(
+            f"Expected a size such as 1280x720, of at most {MAX_SIDE_PX} pixels a side, got {text!r}.",
+            code="H3-RENDER-085",
+        )
     return width, height
 
 
@@ -375,13 +383,16 @@ def parse_steps(text: str, count: int) -> range:
     if not text:
         return range(count)
     if not re.fullmatch(r"-?\d*(:-?\d*){0,2}", text) or text.endswith("::-"):
-        raise InputError(f"Expected steps as start:stop:stride, e.g. 0:300:2, got {text!r}.")
+        raise InputError(f"Expected steps as start:stop:stride, e.g. 0:300:2, got {text!r}.", code="H3-RENDER-086")
     parts = [int(p) if p not in ("", "-") else None for p in text.split(":")]
     if len(parts) == 1:
         parts = [parts[0], None if parts[0] == -1 else (parts[0] or 0) + 1]
     if len(parts) == 3 and parts[2] is not None and parts[2] <= 0:
-        raise InputError(f"Expected a positive stride in the steps, got {text!r}.")
+        raise InputError(f"Expected a positive stride in the steps, got {text!r}.", code="H3-RENDER-087")
     steps = range(count)[slice(*parts)]
     if not len(steps):
-        raise InputError(f"The steps {text!r} select nothing: the recording has {count} steps, 0 to {count - 1}.")
+        raise InputError(
+            f"The steps {text!r} select nothing: the recording has {count} steps, 0 to {count - 1}.",
+            code="H3-RENDER-088",
+        )
     return steps

@@ -40,7 +40,8 @@ def run_folder(
     free = shutil.disk_usage(folder).free
     if free < needed:
         raise InputError(
-            f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}"
+            f"Expected {needed >> 20} MiB of free disk for checkpoints, got {free >> 20}. Folder: {folder}",
+            code="H3-TRAIN-007",
         )
     if force:
         from h3data_training.envs.torch_env import checked_device

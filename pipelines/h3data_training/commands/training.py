@@ -158,18 +158,26 @@ class Train:
     def run(self) -> Outcome:
         """Trains the policy and returns where its weights are and how well it does."""
         if self.resume and self.force:
-            raise InputError("Expected --resume (go on) or --force (begin anew), got both.")
+            raise InputError("Expected --resume (go on) or --force (begin anew), got both.", code="H3-TRAIN-009")
         if self.stop_after is not None and not self.stop_after > 0:
-            raise InputError(f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.")
+            raise InputError(
+                f"Expected --stop-after of more than 0 minutes, got {self.stop_after}.", code="H3-TRAIN-010"
+            )
         if self.skill and self.task != "skill":
-            raise InputError(f"Expected the name of a skill after the task skill only, got {self.task} {self.skill}.")
+            raise InputError(
+                f"Expected the name of a skill after the task skill only, got {self.task} {self.skill}.",
+                code="H3-TRAIN-011",
+            )
         if self.task == "skill" and not self.skill:
-            raise InputError("Expected the name of a skill: h3data train skill nav, pick or place.")
+            raise InputError(
+                "Expected the name of a skill: h3data train skill nav, pick or place.", code="H3-TRAIN-012"
+            )
         if self.task == "rearrange":
             return self._rearrange()
         if self.task not in ("social_nav", "skill"):
             raise InputError(
-                f"Expected the task {TASKS}, got {self.task!r}: policies of other tasks cannot be trained yet."
+                f"Expected the task {TASKS}, got {self.task!r}: policies of other tasks cannot be trained yet.",
+                code="H3-TRAIN-013",
             )
         from h3data_training.ranks import torchrun_place
         from h3data_training.run import describe, require_light, train
@@ -223,12 +231,13 @@ class Train:
         if self.device != "cpu" and self.worlds is None:
             raise InputError(
                 f"Without --worlds rearrange plays our full rules, on CPU cores: --device {self.device} has no effect. "
-                "Hint: --worlds 1024."
+                "Hint: --worlds 1024.",
+                code="H3-TRAIN-016",
             )
         if self.worlds is not None and self.worlds < 1:
-            raise InputError(f"Expected at least 1 world, got --worlds {self.worlds}.")
+            raise InputError(f"Expected at least 1 world, got --worlds {self.worlds}.", code="H3-TRAIN-017")
         if self.workers is not None and self.workers < 1:
-            raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.")
+            raise InputError(f"Expected at least 1 worker, got --workers {self.workers}.", code="H3-TRAIN-018")
         from h3data_training.commands.rearrangement import plan_rearrange, train_rearrange
         from h3data_training.populations.settings import rearrange_recipe
 
@@ -253,7 +262,9 @@ def _first(name: str) -> VisualPolicy:
 
     network = network_of(name) if is_learned(name) else None
     if not isinstance(network, VisualPolicy):
-        raise InputError(f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.")
+        raise InputError(
+            f"Expected a policy of h3data train, as weights:FILE or end_to_end; got {name!r}.", code="H3-TRAIN-008"
+        )
     return network
 
 

@@ -85,14 +85,17 @@ class RearrangeTorchEnv(TorchEnv[Play]):
 
         self.agents: tuple[str, ...] = (agents,) if isinstance(agents, str) else tuple(agents)
         if not self.agents or not set(self.agents) <= set(KINDS) or len(set(self.agents)) < len(self.agents):
-            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.")
+            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.", code="H3-ENV-002")
         if len(self.agents) == len(KINDS) and partner is not None:
-            raise InputError("Both agents are told from outside, so there is no partner. Hint: leave out partner.")
+            raise InputError(
+                "Both agents are told from outside, so there is no partner. Hint: leave out partner.", code="H3-ENV-003"
+            )
         partner = partner or "plan_pop_4"
         if partner not in PARTNERS:
             raise InputError(
                 f"On a device partners are planners, not {partner!r}.{did_you_mean(str(partner), PARTNERS)} Expected one "
-                f"of: {', '.join(PARTNERS)}."
+                f"of: {', '.join(PARTNERS)}.",
+                code="H3-ENV-004",
             )
         super().__init__(num_envs, device, graph=graph, compile=compile)
         self._names = checked_observations((observations,) if isinstance(observations, str) else tuple(observations))
@@ -101,7 +104,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             rules = ORACLE_RULES if spec is None else spec
             episodes = RearrangeBank.draw(scenes, episodes, seed=episodes_seed, spec=rules, robot=robot, human=human)
         elif spec is not None and spec != episodes.spec:
-            raise InputError("The bank has rules of its own. Hint: leave out spec.")
+            raise InputError("The bank has rules of its own. Hint: leave out spec.", code="H3-ENV-006")
         self.bank = episodes
         self.sim = RearrangeTensors(
             episodes, device=self.device, dtype=dtype, planners=set(KINDS) - set(self.agents), partner=partner,
@@ -131,13 +134,17 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         self._require_begun()
         given = actions if isinstance(actions, Mapping) else {self.agents[0]: actions}
         if set(given) != set(self.agents):
-            raise InputError(f"Expected actions of {' and '.join(self.agents)}, got those of {' and '.join(given)}.")
+            raise InputError(
+                f"Expected actions of {' and '.join(self.agents)}, got those of {' and '.join(given)}.",
+                code="H3-ENV-005",
+            )
         with torch.no_grad():
             for agent, chosen in given.items():
                 numbers = torch.as_tensor(chosen)
                 if numbers.shape != (self.num_envs,) or numbers.dtype.is_floating_point:
                     raise InputError(
-                        f"Expected whole numbers of shape {[self.num_envs]}, got {numbers.dtype} {list(numbers.shape)}."
+                        f"Expected whole numbers of shape {[self.num_envs]}, got {numbers.dtype} {list(numbers.shape)}.",
+                        code="H3-ENV-007",
                     )
                 self._actions[agent].copy_(numbers, non_blocking=True)
             return self._stepped()

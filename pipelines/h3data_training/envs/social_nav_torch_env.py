@@ -115,9 +115,14 @@ class SocialNavTorchEnv(TorchEnv[Play]):
 
         unknown = sorted(set(observations) - set(get_args(TorchObservation)))
         if unknown or not observations or isinstance(observations, str):
-            raise InputError(f"On a device there are {', '.join(get_args(TorchObservation))}, got {observations!r}.")
+            raise InputError(
+                f"On a device there are {', '.join(get_args(TorchObservation))}, got {observations!r}.",
+                code="H3-ENV-008",
+            )
         if reward != "paper":
-            raise InputError(f"On a device the reward is the paper's, not {reward!r}. Hint: leave out device.")
+            raise InputError(
+                f"On a device the reward is the paper's, not {reward!r}. Hint: leave out device.", code="H3-ENV-009"
+            )
         super().__init__(num_envs, device, graph=graph, compile=compile)
         rules = spec or TRAINING
         bodies = {"robot": robot, "human": human}
@@ -156,7 +161,9 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         self._require_begun()
         given = torch.as_tensor(actions)
         if given.shape != self._action.shape:
-            raise InputError(f"Expected actions of shape {list(self._action.shape)}, got {list(given.shape)}.")
+            raise InputError(
+                f"Expected actions of shape {list(self._action.shape)}, got {list(given.shape)}.", code="H3-ENV-010"
+            )
         with torch.no_grad():
             self._action.copy_(given, non_blocking=True)
             return self._stepped()
@@ -190,7 +197,7 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         from h3data_training.torch.cameras import TensorCameras
 
         if "arm_rgb" in self._names and self._light == "baked":
-            raise InputError(NO_BAKED_LIGHT)
+            raise InputError(NO_BAKED_LIGHT, code="H3-ENV-011")
         if "arm_rgb" in self._names and self._light is None:
             log.warning(
                 "arm_rgb on a device is in flat light, that of environments on the CPU in baked light. %s", ASKED
@@ -198,7 +205,8 @@ class SocialNavTorchEnv(TorchEnv[Play]):
         heights = sorted({floor.floor_y for floor in self.bank.floors})
         if len(heights) != 1:
             raise InputError(
-                f"Pictures on a device need floors at one height, the scenes have {heights} m. Hint: name one scene."
+                f"Pictures on a device need floors at one height, the scenes have {heights} m. Hint: name one scene.",
+                code="H3-ENV-012",
             )
         return TensorCameras(
             self.bank.scenes, load_robot(robot), load_humanoid(human), self.sim.spec.human, worlds=self.num_envs,

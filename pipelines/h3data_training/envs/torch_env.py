@@ -84,7 +84,7 @@ class TorchEnv(Generic[P]):
             InputError: the number of worlds is less than 1, or there is no such device.
         """
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.")
+            raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.", code="H3-ENV-015")
         self.num_envs, self.device = int(num_envs), checked_device(device)
         self._graph = self.device.type == "cuda" if graph is None else graph
         self._compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
@@ -122,7 +122,7 @@ class TorchEnv(Generic[P]):
     # --- parts --------------------------------------------------------------------------------------------------------
     def _require_begun(self) -> None:
         if not self._begun:
-            raise InputError("No episode has begun. Hint: call reset() first.")
+            raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
 
     def _stepped(self) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
         """All worlds a step further, by the actions that are set."""
@@ -186,9 +186,11 @@ def checked_device(device: torch.device | str) -> torch.device:
     try:
         chosen = torch.device(device)
     except RuntimeError as fault:
-        raise InputError(f"Unknown device {device!r}. Expected cpu, cuda or cuda:N.") from fault
+        raise InputError(f"Unknown device {device!r}. Expected cpu, cuda or cuda:N.", code="H3-ENV-017") from fault
     if chosen.type == "cuda" and not torch.cuda.is_available():
-        raise InputError("There is no GPU that this torch can use. Hint: device='cpu', or leave out device.")
+        raise InputError(
+            "There is no GPU that this torch can use. Hint: device='cpu', or leave out device.", code="H3-ENV-013"
+        )
     return chosen
 
 
@@ -200,6 +202,6 @@ def places_in_bank(seed: int | Sequence[int], worlds: int, episodes: int) -> Ten
     """
     seeds = [int(seed) + w for w in range(worlds)] if isinstance(seed, int | np.integer) else list(seed)
     if len(seeds) != worlds:
-        raise InputError(f"Expected one seed, or one for each of {worlds} worlds, got {len(seeds)}.")
+        raise InputError(f"Expected one seed, or one for each of {worlds} worlds, got {len(seeds)}.", code="H3-ENV-014")
     drawn = random(keys(seeds, "bank", device="cpu"), torch.zeros(worlds, dtype=torch.int64), 1)[:, 0]
     return (drawn * episodes).long()

@@ -245,14 +245,15 @@ class Players:
                 if lost == LOST_IN_A_ROW:
                     raise H3DataError(
                         f"Processes that play were lost {lost} times without an episode in between: killed, or out of "
-                        "memory. The checkpoint is as it was. Hint: fewer --workers, then --resume."
+                        "memory. The checkpoint is as it was. Hint: fewer --workers, then --resume.",
+                        code="H3-TRAIN-024",
                     ) from None
                 self._say("a process that plays was lost; its episodes are played again")
         faults = [f"episode {n}: {fault}" for n, fault in played.items() if isinstance(fault, str)]
         for fault in faults:
             self._say(f"left out {fault}")
         if len(faults) == len(jobs):
-            raise H3DataError(f"No episode could be played: {faults[0]}")
+            raise H3DataError(f"No episode could be played: {faults[0]}", code="H3-TRAIN-023")
         return Batch.joined([result for job in jobs if isinstance(result := played[job.number], Batch)])
 
     def _results(self, jobs: Sequence[Job]) -> Any:

@@ -69,7 +69,7 @@ def train(
     began = time.time()
     count = workers or default_workers()
     if count < 1:
-        raise InputError(f"Expected at least 1 worker, got {count}.")
+        raise InputError(f"Expected at least 1 worker, got {count}.", code="H3-TRAIN-030")
     if settings.oracle:
         checked_device(device)
     kept = checkpoints.to_go_on(folder / CHECKPOINT, settings, seed, form=FORMAT) if resume else None
@@ -150,7 +150,8 @@ class _Run:
             if not all(map(isfinite, row.values())):
                 raise InputError(
                     f"Training diverged in update {len(self.curve) + 1}: a number is not finite. The checkpoint is as it was. "
-                    f"Hint: another seed. Folder: {self.folder}"
+                    f"Hint: another seed. Folder: {self.folder}",
+                    code="H3-TRAIN-031",
                 )
             self.curve.append(row)
             now = time.monotonic()
@@ -225,7 +226,9 @@ class _Run:
             self.curve, self.before_s, self.setups_s = kept["curve"], kept["seconds"], kept["setups_s"]
         except (KeyError, RuntimeError, ValueError) as fault:
             reason = str(fault).splitlines()[0]
-            raise FormatError(f"The checkpoint does not fit ({reason}). File: {self.folder / CHECKPOINT}") from None
+            raise FormatError(
+                f"The checkpoint does not fit ({reason}). File: {self.folder / CHECKPOINT}", code="H3-TRAIN-032"
+            ) from None
 
     def _save(self, *, is_last: bool) -> None:
         """Checkpoint, curve and policies, each whole or not at all. A disk that is full ends the run only at its end."""

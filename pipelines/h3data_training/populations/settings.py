@@ -94,12 +94,17 @@ class PopulationSettings:
 
     def __post_init__(self) -> None:
         if self.population not in NAMES:
-            raise InputError(f"Unknown population {self.population!r}.{suggest(self.population, NAMES)}")
+            raise InputError(
+                f"Unknown population {self.population!r}.{suggest(self.population, NAMES)}", code="H3-TRAIN-034"
+            )
         if self.walk not in (*LONGEST, BOTH):
-            raise InputError(f"Unknown walk {self.walk!r}. Expected one of: {', '.join((*LONGEST, BOTH))}.")
+            raise InputError(
+                f"Unknown walk {self.walk!r}. Expected one of: {', '.join((*LONGEST, BOTH))}.", code="H3-TRAIN-035"
+            )
         if strangers := [name for name in self.without if name not in ABLATIONS]:
             raise InputError(
-                f"Unknown ablation {strangers[0]!r}.{suggest(strangers[0], ABLATIONS, lead='Expected some of')}"
+                f"Unknown ablation {strangers[0]!r}.{suggest(strangers[0], ABLATIONS, lead='Expected some of')}",
+                code="H3-TRAIN-036",
             )
         object.__setattr__(self, "without", tuple(name for name in ABLATIONS if name in self.without))
         whole = (
@@ -107,13 +112,16 @@ class PopulationSettings:
         )  # fmt: skip
         for name in whole:
             if getattr(self, name) < 1:
-                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.")
+                raise InputError(f"Expected {name} of at least 1, got {getattr(self, name)}.", code="H3-TRAIN-039")
         if self.critic_updates < 0 or self.horizon <= 1:
             raise InputError(
-                f"Expected critic_updates >= 0 and a horizon above 1, got {self.critic_updates} and {self.horizon}."
+                f"Expected critic_updates >= 0 and a horizon above 1, got {self.critic_updates} and {self.horizon}.",
+                code="H3-TRAIN-037",
             )
         if self.updates < 0 or not math.isfinite(self.minutes) or self.minutes <= 0:
-            raise InputError(f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.")
+            raise InputError(
+                f"Expected updates >= 0 and minutes > 0, got {self.updates} and {self.minutes}.", code="H3-TRAIN-038"
+            )
 
     @property
     def walks(self) -> tuple[str, ...]:
@@ -187,6 +195,7 @@ def rearrange_recipe(name: str | None, **changes: Any) -> PopulationSettings:
     """
     if name is not None and name not in RECIPES:
         raise InputError(
-            f"Unknown recipe {name!r} of rearrange. Expected one of: {', '.join(RECIPES)}; or none, for our own settings."
+            f"Unknown recipe {name!r} of rearrange. Expected one of: {', '.join(RECIPES)}; or none, for our own settings.",
+            code="H3-TRAIN-033",
         )
     return (PopulationSettings() if name is None else RECIPES[name]).changed(**changes)

@@ -61,7 +61,7 @@ def make_skill_bank(
     )
     found = {name: bank for name, bank in zip(names, drawn, strict=True) if bank is not None}
     if not found:
-        raise SceneError(f"No home of {settings.scenes} has room for an episode.")
+        raise SceneError(f"No home of {settings.scenes} has room for an episode.", code="H3-TRAIN-027")
     bank = SkillBank.merged(list(found.values()))
     if file is not None:
         columns = {name: getattr(bank, name) for name in COLUMNS}

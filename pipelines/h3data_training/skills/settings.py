@@ -44,13 +44,14 @@ class SkillSettings(Settings):
         check_skill(self.skill)
         super().__post_init__()
         if self.network != "cnn_gru":
-            raise InputError(f"Skills have the network cnn_gru, not {self.network!r}.")
+            raise InputError(f"Skills have the network cnn_gru, not {self.network!r}.", code="H3-TRAIN-055")
         if not 0 <= self.near_share < 1:
-            raise InputError(f"Expected near_share from 0 to less than 1, got {self.near_share}.")
+            raise InputError(f"Expected near_share from 0 to less than 1, got {self.near_share}.", code="H3-TRAIN-056")
         if min(self.starts, self.limit) < 1 or not 0 <= self.path_m[0] < self.path_m[1]:
             raise InputError(
                 f"Expected starts and limit of at least 1 and path_m ascending, "
-                f"got {self.starts}, {self.limit}, {self.path_m}."
+                f"got {self.starts}, {self.limit}, {self.path_m}.",
+                code="H3-TRAIN-057",
             )
 
     @property
@@ -121,6 +122,8 @@ def skill_recipe(name: str, skill: str, **changes: Any) -> SkillSettings:
         InputError: there is no such recipe or skill, or a value is out of range.
     """
     if name not in RECIPES:
-        raise InputError(f"Unknown recipe {name!r} of skills. Expected one of: {', '.join(RECIPES)}.")
+        raise InputError(
+            f"Unknown recipe {name!r} of skills. Expected one of: {', '.join(RECIPES)}.", code="H3-TRAIN-054"
+        )
     assert set(RECIPES[name]) == set(SKILL_NAMES)
     return replace(RECIPES[name][check_skill(skill)], **{k: v for k, v in changes.items() if v is not None})

@@ -65,7 +65,7 @@ class TensorCameras:
             InputError: there is no GPU, or no such camera.
         """
         if not views:
-            raise InputError("Expected at least one view.")
+            raise InputError("Expected at least one view.", code="H3-TRAIN-058")
         self.worlds, self.views, self._floor_y = worlds, tuple(views), floor_y
         names = [camera.name for camera in robot.cameras]
         mounted = {

@@ -56,7 +56,7 @@ class EpisodeBank:
             SceneError: a scene has no two starts as far apart as the rules say.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
-            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.")
+            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.", code="H3-TRAIN-060")
         source = EpisodeSource(SocialNav(), scenes, spec=spec, robot=robot, human=human)
         runs = [(seed, k) for k in range(count)]
         source.prepare(runs)

@@ -57,7 +57,8 @@ def refuse_stairs(floors: Iterable[FreeSpace], *, home: str = "them") -> None:
     """
     if any(len(floor.heights) for floor in floors):
         raise InputError(
-            f"Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave {home} out of the scenes."
+            f"Worlds that are stepped together, on a CPU or GPU, have no stairs. Hint: leave {home} out of the scenes.",
+            code="H3-TRAIN-076",
         )
 
 
@@ -241,7 +242,10 @@ def drive_robots(
     Nothing waits for the device, so nothing is refused: a number of an action that is not finite counts as 0.
     """
     if spec.slide != "strict":
-        raise InputError(f"Tensors slide strictly only, not as {spec.slide!r}. Hint: the CPU environment does both.")
+        raise InputError(
+            f"Tensors slide strictly only, not as {spec.slide!r}. Hint: the CPU environment does both.",
+            code="H3-TRAIN-077",
+        )
     speed, lateral, turn = velocities(torch.nan_to_num(action, 0.0, 0.0, 0.0), spec)
     moved = drive_base(grids, robot.xz, robot.heading, speed, lateral, turn, spec, dt)
     goes = (speed != 0.0) | (turn != 0.0)

@@ -62,7 +62,9 @@ def checked_command(command: ArrayLike, robot: Robot) -> Array:
     except (TypeError, ValueError):
         action = np.full(0, np.nan)
     if action.shape != (count,) or not np.isfinite(action).all():
-        raise InputError(f"Expected a command of {count} finite numbers (base 2, arm, grip 1), got {command!r}.")
+        raise InputError(
+            f"Expected a command of {count} finite numbers (base 2, arm, grip 1), got {command!r}.", code="H3-SIM-018"
+        )
     return np.clip(action, -1.0, 1.0)
 
 

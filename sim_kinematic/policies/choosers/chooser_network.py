@@ -116,7 +116,9 @@ def encoded(
         )
         seen = np.asarray(shown.get(name, ()), np.float32)
         if seen.shape != (length,):
-            raise InputError(f"Expected the observation {name} [{length}], got {list(seen.shape)}.")
+            raise InputError(
+                f"Expected the observation {name} [{length}], got {list(seen.shape)}.", code="H3-POLICY-006"
+            )
         if encoding is None:
             each.append(seen[:own].reshape(SKILLS_WITH_OBJECT, objects).T)
             rest.append(seen[own:])
@@ -147,7 +149,7 @@ class SkillPolicyNetwork:
     def __post_init__(self) -> None:
         faults = _faults(self.card, self.arrays)
         if faults:
-            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.")
+            raise InputError(f"These arrays make no policy: {'; '.join(faults)}.", code="H3-POLICY-007")
 
     @property
     def task(self) -> str:

@@ -44,11 +44,15 @@ class RecurrentSkillPolicy:
         """
         card, agent = network.card, "robot" if robot else "human"
         if card.task != "rearrange":
-            raise FormatError(f"Expected weights for the task rearrange, these are for {card.task!r}.")
+            raise FormatError(
+                f"Expected weights for the task rearrange, these are for {card.task!r}.", code="H3-POLICY-008"
+            )
         if card.agent != agent:
-            raise FormatError(f"Expected weights for a {agent}, these are for a {card.agent}.")
+            raise FormatError(f"Expected weights for a {agent}, these are for a {card.agent}.", code="H3-POLICY-009")
         if card.objects != objects:
-            raise FormatError(f"These weights know {card.objects} objects, the episode has {objects}.")
+            raise FormatError(
+                f"These weights know {card.objects} objects, the episode has {objects}.", code="H3-POLICY-010"
+            )
         self.network = network
         self.choices = choices(objects, robot=robot)
         self.state = network.start()
@@ -63,7 +67,10 @@ class RecurrentSkillPolicy:
             FormatError: it is another.
         """
         if body != self.network.card.robot:
-            raise FormatError(f"These weights drive the robot {self.network.card.robot}, the episode has {body}.")
+            raise FormatError(
+                f"These weights drive the robot {self.network.card.robot}, the episode has {body}.",
+                code="H3-POLICY-011",
+            )
 
     def act(self, view: RearrangeView) -> Action:
         """Next action, sampled by the scores of the network."""

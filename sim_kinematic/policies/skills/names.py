@@ -53,7 +53,7 @@ def _files_in(folder: Path) -> list[Path]:
     runs = [file for file in (folder / RUN_POLICY, *sorted(folder.glob(f"*/{RUN_POLICY}"))) if file.is_file()]
     files = runs or sorted(folder.glob("*.npz"))
     if not files:
-        raise InputError(f"Expected policy files of skills, found none. Folder: {folder}")
+        raise InputError(f"Expected policy files of skills, found none. Folder: {folder}", code="H3-POLICY-053")
     return files
 
 
@@ -76,7 +76,10 @@ def skills_of(skills: str, *, robot: str = "") -> Mapping[str, NetworkSkill]:
     word, _, digest = skills.partition("@")
     if word == LEARNED:
         if digest and digest != (own := _shipped_digest()):
-            raise InputError(f"The skills of this version are not those that {skills} names: their digest is {own}.")
+            raise InputError(
+                f"The skills of this version are not those that {skills} names: their digest is {own}.",
+                code="H3-POLICY-054",
+            )
         return _found(tuple(PREFIX + str(builtin_path(file)) for file in SHIPPED), robot)
     return _found(tuple(skills.split(",")), robot)
 
@@ -88,13 +91,16 @@ def _found(names: tuple[str, ...], robot: str) -> Mapping[str, NetworkSkill]:
         network = network_of(name)
         if not isinstance(network, VisualPolicy):
             raise FormatError(
-                f"Expected weights of a skill, these are for {network.task!r}. File: {name.removeprefix(PREFIX)}"
+                f"Expected weights of a skill, these are for {network.task!r}. File: {name.removeprefix(PREFIX)}",
+                code="H3-POLICY-055",
             )
         try:
             skill = NetworkSkill(network, robot=robot)
         except FormatError as fault:
             raise FormatError(f"{fault} File: {name.removeprefix(PREFIX)}", code=fault.code) from None
         if twice := [one for one in skill.skills if one in found]:
-            raise InputError(f"Two of the files are for {twice[0]}. File: {name.removeprefix(PREFIX)}")
+            raise InputError(
+                f"Two of the files are for {twice[0]}. File: {name.removeprefix(PREFIX)}", code="H3-POLICY-056"
+            )
         found |= dict.fromkeys(skill.skills, skill)
     return found

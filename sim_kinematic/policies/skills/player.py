@@ -39,17 +39,26 @@ class NetworkSkill:
         """
         card = network.card
         if card.task not in TASKS:
-            raise FormatError(f"Expected weights for one of the tasks {', '.join(TASKS)}, these are for {card.task!r}.")
+            raise FormatError(
+                f"Expected weights for one of the tasks {', '.join(TASKS)}, these are for {card.task!r}.",
+                code="H3-POLICY-057",
+            )
         if robot and robot != card.robot:
-            raise FormatError(f"These weights drive the robot {card.robot}, the episode has {robot}.")
+            raise FormatError(
+                f"These weights drive the robot {card.robot}, the episode has {robot}.", code="H3-POLICY-058"
+            )
         known = (PICTURE, *SENSES)
         strangers = [name for name in card.observations if name not in known]
         if strangers:
             raise FormatError(
-                f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(known)}."
+                f"A skill from a file is not shown {', '.join(strangers)}. There are: {', '.join(known)}.",
+                code="H3-POLICY-059",
             )
         if (card.actions == BASE_ACTIONS) != (card.task == "skill_nav"):
-            raise FormatError(f"The weights for {card.task} have {card.actions} outputs, which is not what it takes.")
+            raise FormatError(
+                f"The weights for {card.task} have {card.actions} outputs, which is not what it takes.",
+                code="H3-POLICY-060",
+            )
         self.network, self.rules = network, rules or SkillSpec()
 
     @property
@@ -110,7 +119,7 @@ class NetworkSkill:
         if not self.network.sees:
             return shown
         if actor.pictures is None:
-            raise InputError(f"The skill needs {PICTURE}, and nobody takes pictures here.")
+            raise InputError(f"The skill needs {PICTURE}, and nobody takes pictures here.", code="H3-POLICY-061")
         return shown | actor.pictures((PICTURE,), card.picture_size)
 
     def _view(self, actor: RobotActor, point: Array, stand_xz: Array, before: tuple[Array, float]) -> SkillView:

@@ -122,10 +122,13 @@ class RearrangeSpec:
         if self.skills:
             object.__setattr__(self, "skills", recorded_skills(self.skills))
         if self.reward not in REARRANGE_REWARDS:
-            raise InputError(f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REARRANGE_REWARDS)}.")
+            raise InputError(
+                f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REARRANGE_REWARDS)}.", code="H3-TASK-011"
+            )
         if self.max_steps < 1 or self.objects < 1:
             raise InputError(
-                f"Expected at least 1 step and 1 object, got {self.max_steps} steps, {self.objects} objects."
+                f"Expected at least 1 step and 1 object, got {self.max_steps} steps, {self.objects} objects.",
+                code="H3-TASK-012",
             )
 
 
@@ -235,7 +238,8 @@ def draw_episode(
     if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
         raise SceneError(
             f"Rearranging {spec.objects} objects needs as many movable things and open receptacles on two pieces of "
-            f"furniture; scene {scene.name!r} has {len(movable)} things and {len(surfaces)} receptacles."
+            f"furniture; scene {scene.name!r} has {len(movable)} things and {len(surfaces)} receptacles.",
+            code="H3-TASK-010",
         )
     draw = _EpisodeSampler(doorways.open_scene, doorways.open_floor, spec, robot, human, surfaces, doorways)
     budget = SPARE * spec.max_steps * STEP_S
@@ -262,7 +266,8 @@ def draw_episode(
     raise SceneError(
         f"Found no {spec.objects} objects and goals in {scene.name!r} within reach of both agents in "
         f"{ATTEMPTS + THOROUGH_ATTEMPTS} attempts "
-        f"({why}). Hint: a larger max_steps=, or another home."
+        f"({why}). Hint: a larger max_steps=, or another home.",
+        code="H3-TASK-009",
     )
 
 

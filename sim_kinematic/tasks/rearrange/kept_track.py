@@ -48,14 +48,16 @@ class KeptTrack:
         lacks = [name for name in (*names, "object_pose") if name not in recording.columns]
         if lacks or not len(recording):
             raise InputError(
-                f"There is no track of agent_{number} to keep; the recording lacks: {', '.join(lacks) or 'steps'}."
+                f"There is no track of agent_{number} to keep; the recording lacks: {', '.join(lacks) or 'steps'}.",
+                code="H3-TASK-013",
             )
         base, root, joints, grasp = (recording.columns[name] for name in names)
         objects = recording.columns["object_pose"]
         shapes = {(7,): (base, root), (54, 4): (joints,), (): (grasp,), (len(bodies) - 1, 7): (objects,)}
         if any(a.shape[1:] != shape or not np.isfinite(a).all() for shape, some in shapes.items() for a in some):
             raise InputError(
-                f"The track of agent_{number} must be finite at every step, in columns of the usual shapes."
+                f"The track of agent_{number} must be finite at every step, in columns of the usual shapes.",
+                code="H3-TASK-014",
             )
         held = np.array([np.flatnonzero(bodies == body)[0] if body in bodies else -1 for body in grasp.tolist()])
         return cls(

@@ -38,7 +38,8 @@ def errands_of(episode: RearrangeEpisode, number: int) -> SubGoals:
         if episode.scene.articulations:
             raise InputError(
                 f"Oracle skills open nothing, and {episode.scene.name} has doors or drawers. Hint: other scenes, or "
-                "rules without oracle."
+                "rules without oracle.",
+                code="H3-TASK-015",
             )
         known[number] = _errands(episode, number)
     return known[number]

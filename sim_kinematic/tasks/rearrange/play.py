@@ -222,7 +222,10 @@ class RearrangeRollout:
         world = self.episode
         names, joints = tuple(t.name for t in world.targets), joint_names(world.scene)
         if len(self.policies) != len(world.roster):
-            raise InputError(f"Expected one policy for each of {len(world.roster)} agents, got {len(self.policies)}.")
+            raise InputError(
+                f"Expected one policy for each of {len(world.roster)} agents, got {len(self.policies)}.",
+                code="H3-TASK-016",
+            )
         robots = [member.body for member in world.roster if isinstance(member.body, Robot)]
         state = WorldState.zeros(
             1, robots=len(robots), people=len(world.roster) - len(robots), joints=[len(body.rest) for body in robots],

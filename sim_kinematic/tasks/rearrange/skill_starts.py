@@ -57,7 +57,7 @@ def check_skill(skill: str) -> Skill:
         InputError: there is no such skill.
     """
     if skill not in SKILL_NAMES:
-        raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.")
+        raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILL_NAMES)}.", code="H3-SIM-022")
     return skill  # type: ignore[return-value]
 
 

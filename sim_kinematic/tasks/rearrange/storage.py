@@ -110,7 +110,9 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             return RearrangeSpec(objects=count)
         spec = rules_from_json(record.rules)
         if spec.objects != count:
-            raise InputError(f"The episode has {count} goals, its rules say {spec.objects} objects.")
+            raise InputError(
+                f"The episode has {count} goals, its rules say {spec.objects} objects.", code="H3-TASK-017"
+            )
         return spec
 
     def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
@@ -126,7 +128,9 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         spec: RearrangeSpec = place.spec
         count = len(record.goals) + len(record.placements)
         if spec.objects != count:
-            raise InputError(f"The episode has {count} objects: leave out the rule objects={spec.objects}.")
+            raise InputError(
+                f"The episode has {count} objects: leave out the rule objects={spec.objects}.", code="H3-TASK-018"
+            )
         pair = (
             place.robot or record.robot.removeprefix("robot/") or ROBOT_BODY,
             with_body(place.human, record.human.removeprefix("humanoid/")),
@@ -180,7 +184,8 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         if lost:
             raise SceneError(
                 f"The scene {scene.name!r} has no movable thing {', '.join(map(repr, lost[:4]))}. Expected the scene for "
-                "which the episode was made."
+                "which the episode was made.",
+                code="H3-TASK-019",
             )
         known = {f"{i.name}|{r.name}" for i, r in scene.receptacles()}
         strange = [
@@ -189,7 +194,8 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         if strange and not record.objects:
             raise SceneError(
                 f"The scene {scene.name!r} has no receptacle {strange[0]!r}. Expected the scene for which the episode was "
-                "made."
+                "made.",
+                code="H3-TASK-020",
             )
         return scene, tuple(
             target_of(goal, origins.get(goal.object) if record.com_frames else None) for goal in record.goals
@@ -280,7 +286,8 @@ def placed(
                     f"{len(surfaces)} surfaces were tried."
                     if surfaces
                     else "there is no such furniture with a surface."
-                )
+                ),
+                code="H3-TASK-021",
             )
         targets.append(Target(placement.object, things[placement.object].pose, spot[0], placement.source, spot[1]))
     return tuple(targets)

@@ -140,7 +140,9 @@ class Rearrange(Task):
         info, agents = recording.episode.info, recording.agents
         lacks = [name for name in ("spec", "goals") if name not in info]
         if lacks:
-            raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+            raise InputError(
+                f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023"
+            )
         kinds = tuple(agent.kind for agent in agents)
         own = {"robot": "robot_start", "human": "human_start"}
         try:
@@ -152,25 +154,32 @@ class Rearrange(Task):
             listed = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]
             starts = np.array(msgspec.convert(listed, list[tuple[float, float, float]]), np.float64)
         except (msgspec.ValidationError, KeyError) as fault:
-            raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
+            raise InputError(
+                f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
+            ) from None
         roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
         if kinds_of(roster) != kinds:
-            raise InputError(f"Expected robots, then people, got: {list(kinds)}.")
+            raise InputError(f"Expected robots, then people, got: {list(kinds)}.", code="H3-TASK-024")
         if spec.max_steps > MAX_STEPS or len(goals) != spec.objects:
             raise InputError(
                 f"Expected at most {MAX_STEPS} steps and a goal for each of {spec.objects} objects, got "
-                f"{spec.max_steps} steps and {len(goals)} goals."
+                f"{spec.max_steps} steps and {len(goals)} goals.",
+                code="H3-TASK-025",
             )
         home, free = scene(spec.agent_radius_m, spec.agent_height_m)
         things = {instance.name for instance in home.instances}
         numbers = [[*goal.start, *goal.position] for goal in goals]
         if not all(len(n) == 10 and np.isfinite(n).all() for n in numbers) or not {g.object for g in goals} <= things:
             raise InputError(
-                "Expected goals of things in the scene, with a pose7 start and a position [3] of finite numbers."
+                "Expected goals of things in the scene, with a pose7 start and a position [3] of finite numbers.",
+                code="H3-TASK-026",
             )
         fits = starts.shape == (len(roster), 3) and np.isfinite(starts).all()
         if not fits or not free.is_navigable(starts[:, :2]).all():
-            raise InputError(f"Expected starts on the free floor for {len(roster)} agents, got: {starts.tolist()}.")
+            raise InputError(
+                f"Expected starts on the free floor for {len(roster)} agents, got: {starts.tolist()}.",
+                code="H3-TASK-027",
+            )
         first = [starts[kinds.index(kind)] if kind in kinds else np.full(3, np.nan) for kind in PAIR]
         return RearrangeEpisode(
             scene=home,
@@ -386,7 +395,8 @@ class Rearrange(Task):
             raise InputError(
                 f"People in recordings of schema 1.5 and later walk with planted feet, this one is of "
                 f"{recording.episode.schema_version}: it replays as it was recorded, but its people cannot be simulated "
-                f"again. Hint: verify or resume it with the version that made it ({recording.episode.created_by})."
+                f"again. Hint: verify or resume it with the version that made it ({recording.episode.created_by}).",
+                code="H3-TASK-028",
             )
         objects, joints = tuple(target.name for target in episode.targets), joint_names(episode.scene)
         commands, policies = recorded_commands(recording, self.choice_from_json), []
@@ -446,7 +456,8 @@ def _robot_action(command: Any, robot: Robot) -> Action:
         forward, turn = command.forward, command.turn
     else:
         raise InputError(
-            f"Expected an Action (sim_kinematic.agents.skills), a Velocity or a pair (forward, turn), got {command!r}."
+            f"Expected an Action (sim_kinematic.agents.skills), a Velocity or a pair (forward, turn), got {command!r}.",
+            code="H3-TASK-029",
         )
     return Action(CONTROL, command=(float(forward), float(turn), *[0.0] * (len(robot.require_arm()) + 1)))
 
@@ -520,7 +531,8 @@ def _track_from(recording: Recording) -> int:
     step = recording.episode.info.get("counterfactual", {}).get("track_from")
     if not isinstance(step, int) or not 0 <= step <= len(recording):
         raise InputError(
-            f"Expected counterfactual.track_from in the info, a step up to {len(recording)}, got {step!r}."
+            f"Expected counterfactual.track_from in the info, a step up to {len(recording)}, got {step!r}.",
+            code="H3-TASK-022",
         )
     return step
 

@@ -28,7 +28,9 @@ RewardProfile = Literal["paper", "habitat"]
 def check_profile(profile: str) -> None:
     """Raises an `InputError` if there is no such `RewardProfile`."""
     if profile not in get_args(RewardProfile):
-        raise InputError(f"Unknown reward {profile!r}. Expected one of: {', '.join(get_args(RewardProfile))}.")
+        raise InputError(
+            f"Unknown reward {profile!r}. Expected one of: {', '.join(get_args(RewardProfile))}.", code="H3-TASK-041"
+        )
 
 
 class Encounter(NamedTuple):
@@ -130,7 +132,8 @@ class SocialNavReward:
         if xz.shape != (len(self.followed), 2) or human.shape != xz.shape:
             raise InputError(
                 f"Expected places [{len(self.followed)}, 2] of robots and humans, "
-                f"got {list(xz.shape)} and {list(human.shape)}."
+                f"got {list(xz.shape)} and {list(human.shape)}.",
+                code="H3-TASK-042",
             )
         faces = facing(xz, seen.robot_heading, human) if seen.faces is None else np.asarray(seen.faces, np.float64)
         gap = human - xz
@@ -189,7 +192,8 @@ class SocialNavReward:
         if rules.must_look_at_targ or not rules.use_geo_distance:
             if seen.goal_xz is None:
                 raise InputError(
-                    "The success is configured to be measured to the task's goal, and goal_xz is not given."
+                    "The success is configured to be measured to the task's goal, and goal_xz is not given.",
+                    code="H3-TASK-044",
                 )
             xz, goal = np.asarray(seen.robot_xz, np.float64), np.asarray(seen.goal_xz, np.float64)
             angle = np.arccos(np.clip(facing(xz, seen.robot_heading, goal), -1, 1))
@@ -254,7 +258,7 @@ class RearrangeReward:
         """
         now = np.asarray(stages, np.bool_)
         if now.shape != paid.shape:
-            raise InputError(f"Expected sub-goals {list(paid.shape)}, got {list(now.shape)}.")
+            raise InputError(f"Expected sub-goals {list(paid.shape)}, got {list(now.shape)}.", code="H3-TASK-043")
         reached = (now & ~paid).sum(axis=-1)
         paid |= now
         return self.of(reached, np.asarray(collides, np.bool_), np.asarray(success, np.bool_))

@@ -90,7 +90,8 @@ def sample_pair_starts(
     )
     raise SceneError(
         f"Found no start poses {spec.spawn_distance_m} m apart with a free base in 200 attempts (the farthest pair was "
-        f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller spawn_distance=, or a larger home."
+        f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller spawn_distance=, or a larger home.",
+        code="H3-TASK-048",
     )
 
 
@@ -167,11 +168,14 @@ def rules_of(episode: SocialNavEpisode) -> SocialNavSpec:
     try:
         spec = msgspec.convert(rules, SocialNavSpec)
     except msgspec.ValidationError as fault:
-        raise InputError(f"The rules of the episode cannot be used: {str(fault).replace('`', '')}") from None
+        raise InputError(
+            f"The rules of the episode cannot be used: {str(fault).replace('`', '')}", code="H3-TASK-052"
+        ) from None
     if spec.max_steps < 1 or not 0 < spec.human.speed_mps <= 4:
         raise InputError(
             f"The rules of the episode cannot be used: expected max_steps from 1 and a walking speed above 0 and at most "
-            f"4 m/s, got {spec.max_steps} and {spec.human.speed_mps}."
+            f"4 m/s, got {spec.max_steps} and {spec.human.speed_mps}.",
+            code="H3-TASK-049",
         )
     return spec
 
@@ -186,8 +190,11 @@ def _on_free_floor(free: FreeSpace, episode: SocialNavEpisode) -> np.ndarray:
     if lost:
         raise SceneError(
             f"{', '.join(lost[:4])}: more than {SNAP_M} m off the free floor of this scene. Expected the scene for which "
-            "the episode was made."
+            "the episode was made.",
+            code="H3-TASK-050",
         )
     if len(set(free.island(points).tolist())) > 1:
-        raise SceneError("The starts and goals of the episode are not on one island of this scene's free floor.")
+        raise SceneError(
+            "The starts and goals of the episode are not on one island of this scene's free floor.", code="H3-TASK-051"
+        )
     return points

@@ -125,9 +125,13 @@ class SocialNav(Task):
         info, agents = recording.episode.info, recording.agents
         lacks = [name for name in ("spec", "robot_start", "human_start") if name not in info]
         if lacks:
-            raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+            raise InputError(
+                f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.", code="H3-TASK-023"
+            )
         if [a.kind for a in agents] != ["robot", "human"]:
-            raise InputError(f"Expected a robot and a human, in this order, got: {[a.kind for a in agents]}.")
+            raise InputError(
+                f"Expected a robot and a human, in this order, got: {[a.kind for a in agents]}.", code="H3-TASK-054"
+            )
         try:
             stored = msgspec.convert(
                 {
@@ -145,12 +149,16 @@ class SocialNav(Task):
                 SocialNavEpisode,
             )
         except (msgspec.ValidationError, KeyError, TypeError) as fault:
-            raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
+            raise InputError(
+                f"The recording's info is malformed: {str(fault).replace('`', '')}", code="H3-TASK-030"
+            ) from None
         if not np.isfinite([*stored.robot_start, *stored.human_start, *np.ravel(stored.human_goals)]).all():
-            raise InputError("The recording's starts and goals must be finite numbers.")
+            raise InputError("The recording's starts and goals must be finite numbers.", code="H3-TASK-055")
         rules = rules_of(stored)
         if rules.max_steps > MAX_STEPS:
-            raise InputError(f"Expected at most {MAX_STEPS} steps, the recording's rules say {rules.max_steps}.")
+            raise InputError(
+                f"Expected at most {MAX_STEPS} steps, the recording's rules say {rules.max_steps}.", code="H3-TASK-056"
+            )
         home, free = scene(rules.agent_radius_m, rules.agent_height_m)
         return episode_from(stored, home, spec=rules, free=free)
 
@@ -376,7 +384,8 @@ class SocialNav(Task):
         """
         if chosen.get("human") is not None and "external" not in str(recording.episode.info.get("partner", "")):
             raise InputError(
-                "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out."
+                "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out.",
+                code="H3-TASK-057",
             )
         return chosen
 
@@ -426,5 +435,6 @@ def _require_pair(roster: Sequence[AgentSpec]) -> None:
     if kinds_of(roster) != ("robot", "human"):
         raise InputError(
             f"In social_nav one robot follows one person, got: {', '.join(kinds_of(roster))}. "
-            "Hint: rearrange and wander take any agents."
+            "Hint: rearrange and wander take any agents.",
+            code="H3-TASK-053",
         )

@@ -113,9 +113,9 @@ class Play:
     def _check(self) -> None:
         self._serving()
         if self.episodes < 1 or self.seed < 0:
-            raise InputError("Expected --episodes of at least 1 and a --seed of at least 0.")
+            raise InputError("Expected --episodes of at least 1 and a --seed of at least 0.", code="H3-PLAY-002")
         if self.seconds is not None and not 1 <= self.seconds <= 36000:
-            raise InputError(f"--seconds must be 1 to 36000, got {self.seconds}.")
+            raise InputError(f"--seconds must be 1 to 36000, got {self.seconds}.", code="H3-PLAY-003")
 
     def _serving(self) -> dict[str, Any]:
         return serving_options(
@@ -133,12 +133,13 @@ class Play:
         strange = [name for name in seats if name not in SEATS]
         if strange or not set(seats) & {"person", "robot"}:
             raise InputError(
-                f"Expected --as with some of {', '.join(SEATS)}, somebody who plays among them, got: {','.join(seats)}"
+                f"Expected --as with some of {', '.join(SEATS)}, somebody who plays among them, got: {','.join(seats)}",
+                code="H3-PLAY-027",
             )
         spec = find_task(find_app(self.app).task).Spec()
         rules: dict[str, Any] = {name: rule_value(spec, name, value) for name, value in read_rules(self.rules)}
         if self.seconds is not None and "max_steps" in rules:
-            raise InputError("Expected --seconds or --set max_steps=..., got both.")
+            raise InputError("Expected --seconds or --set max_steps=..., got both.", code="H3-PLAY-028")
         if self.seconds is not None:
             rules["max_steps"] = round(self.seconds * 30)
         if self.human_walk is not None:
@@ -168,7 +169,8 @@ class Play:
             if file.read_bytes() != plan:
                 raise InputError(
                     f"{out} holds an unfinished session that was started with other options ({file}). Use the same ones, or "
-                    "another -o."
+                    "another -o.",
+                    code="H3-PLAY-005",
                 )
             return True
         claim_folder(out, force=False)

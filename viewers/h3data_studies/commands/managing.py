@@ -173,7 +173,8 @@ def find_participant(folder: Path, store: StudyStore, name: str) -> Participant:
     if person is None:
         names = [p.id for p in store.participants.values()]
         raise InputError(
-            f"Nobody in this study is {name!r}.{did_you_mean(name, names)} Hint: h3data study status {folder}"
+            f"Nobody in this study is {name!r}.{did_you_mean(name, names)} Hint: h3data study status {folder}",
+            code="H3-STUDY-008",
         )
     return person
 

@@ -172,7 +172,9 @@ class StudyCompare:
         people = [person for person in people if person.id not in rules.people]
         files, left_out = usable_recordings(folder, design, people, rules)
         if not files:
-            raise InputError(f"No episode of people can be used: {dict(left_out) or 'none has been played'}.")
+            raise InputError(
+                f"No episode of people can be used: {dict(left_out) or 'none has been played'}.", code="H3-STUDY-010"
+            )
         policies = [c.partner for c in design.conditions if c.partner and not c.is_solo]
         data = gather([*files, self.automatic])
         stamped = any(e.policy.startswith("weights:") for e in data.episodes)
@@ -184,7 +186,8 @@ class StudyCompare:
             raise InputError(
                 f"Expected two or more policies that are both in the study ({', '.join(policies) or 'none'}) and in "
                 f"the automatic evaluation ({', '.join(automatic) or 'none'}). Hint: h3data evaluate rearrange --policies "
-                f"{','.join(policies)} -o {self.automatic}"
+                f"{','.join(policies)} -o {self.automatic}",
+                code="H3-STUDY-011",
             )
         text = "\n\n".join([*map(to_markdown, tables), *_bots(people)])
         return Outcome(text=text, data={"tables": [_table_data(table) for table in tables]}, result=tables)
@@ -202,7 +205,8 @@ def finished(people: Sequence[Participant], *, everybody: bool) -> list[Particip
     if not kept:
         raise InputError(
             f"Nobody has finished this study yet; {counted(len(people), 'participant')} began. Hint: --everybody counts "
-            "those too."
+            "those too.",
+            code="H3-STUDY-009",
         )
     return kept
 

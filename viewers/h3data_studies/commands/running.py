@@ -101,7 +101,7 @@ class StudyRun:
             behind_proxy=self.behind_proxy, allow_hosts=self.allow_hosts,
         )  # fmt: skip
         if self.workers < 1 or self.seats_per_address < 1:
-            raise InputError("Expected --workers and --seats-per-address of at least 1.")
+            raise InputError("Expected --workers and --seats-per-address of at least 1.", code="H3-STUDY-012")
         design = read_design(self.study)
         folder = study_folder(self.study, design)
         plan = make_plan(design, folder, speed=self.speed)
@@ -169,7 +169,8 @@ def keep_design(folder: Path, design: Design) -> Design:
         if people and before != with_id_pattern(design, before.recruiting.id_pattern):
             raise InputError(
                 f"The file has changed since {counted(people, 'participant')} took part. Expected what is in {kept}. Undo "
-                "the change, or give the study another version, which gets a folder of its own."
+                "the change, or give the study another version, which gets a folder of its own.",
+                code="H3-STUDY-013",
             )
     with part_file(kept) as part:
         part.write_bytes(msgspec.json.format(msgspec.json.encode(design), indent=2))
@@ -189,7 +190,8 @@ def running(folder: Path) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise InputError(
-                f"The study is running in another process. Stop that first (Ctrl-C; participants go on later): {folder}"
+                f"The study is running in another process. Stop that first (Ctrl-C; participants go on later): {folder}",
+                code="H3-STUDY-014",
             ) from None
         lock.truncate(0)
         try:

@@ -129,20 +129,21 @@ class ReportCommand:
 
         check_workers(self.executor, self.workers)
         if not self.datasets:
-            raise InputError("Expected at least one dataset or recording.")
+            raise InputError("Expected at least one dataset or recording.", code="H3-RENDER-079")
         if self.pictures < 0:
-            raise InputError(f"--pictures must not be negative, got {self.pictures}.")
+            raise InputError(f"--pictures must not be negative, got {self.pictures}.", code="H3-RENDER-080")
         targets = [path for path in (self.out, self.markdown, self.latex) if path is not None]
         if len({path.resolve() for path in targets}) < len(targets):
-            raise InputError("-o, --markdown and --latex must be different files.")
+            raise InputError("-o, --markdown and --latex must be different files.", code="H3-RENDER-081")
         for path in targets:
             claim_file(path, force=self.force)
         if self.replays and self.pictures == 0:
-            raise InputError("--replays needs episodes with key frames: leave out --pictures 0.")
+            raise InputError("--replays needs episodes with key frames: leave out --pictures 0.", code="H3-RENDER-082")
         folder = replay_folder(self.out)
         if self.replays and folder.exists() and not self.force:
             raise InputError(
-                f"The folder of the replays exists. Use --force to overwrite them, or another -o: {folder}"
+                f"The folder of the replays exists. Use --force to overwrite them, or another -o: {folder}",
+                code="H3-RENDER-083",
             )
         with opened(self.executor, self.workers) as executor:
             report = write_report(

@@ -111,12 +111,16 @@ class View:
         """Writes the file whose ending names its format."""
         form = ".rrd" if self.out is None else self.out.suffix.lower()
         if form not in (".rrd", ".html", *PICTURES):
-            raise InputError(f"Expected a file name that ends in .rrd, .html, .png or .jpg, got: {self.out}")
+            raise InputError(
+                f"Expected a file name that ends in .rrd, .html, .png or .jpg, got: {self.out}", code="H3-RENDER-095"
+            )
         if form == ".rrd":
             return self._rrd()
         if self.compare is not None or self.cameras:
             option = "--compare" if self.compare is not None else "--camera"
-            raise InputError(f"{option} needs a Rerun file: give -o a name that ends in .rrd. Got: {self.out}")
+            raise InputError(
+                f"{option} needs a Rerun file: give -o a name that ends in .rrd. Got: {self.out}", code="H3-RENDER-096"
+            )
         return self._html() if form == ".html" else self._strip(form)
 
     def _strip(self, form: str) -> Outcome:
@@ -157,7 +161,9 @@ class View:
 
         paths = [self.recording] if self.compare is None else [self.recording, self.compare]
         if len(paths) == 2 and _same(*paths):
-            raise InputError(f"--compare expects a second recording, got the first one again: {self.compare}")
+            raise InputError(
+                f"--compare expects a second recording, got the first one again: {self.compare}", code="H3-RENDER-097"
+            )
         recordings = [open_episode(path) for path in paths]
         out = claim_file(self.out or self._beside(), force=self.force, suffix=".rrd")
         replays = [self._replay(recording, detail=False, light=self.light) for recording in recordings]
@@ -189,7 +195,10 @@ class View:
 
     def _beside(self) -> Path:
         if isinstance(place(self.recording), RemotePath):
-            raise InputError(f"The recording is not local: give the .rrd file to write with -o. {self.recording}")
+            raise InputError(
+                f"The recording is not local: give the .rrd file to write with -o. {self.recording}",
+                code="H3-RENDER-098",
+            )
         stem = recording_stem(self.recording)
         if self.compare is not None:
             stem += f"_and_{recording_stem(self.compare)}"

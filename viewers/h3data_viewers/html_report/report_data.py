@@ -158,15 +158,15 @@ def gather(
     """
     roots = tuple(map(Path, paths))
     if not roots:
-        raise InputError("Expected at least one dataset or recording.")
+        raise InputError("Expected at least one dataset or recording.", code="H3-RENDER-079")
     twice = [p for k, p in enumerate(roots) if p.resolve() in {q.resolve() for q in roots[:k]}]
     if twice:
-        raise InputError(f"Named twice, so its episodes would count twice: {twice[0]}")
+        raise InputError(f"Named twice, so its episodes would count twice: {twice[0]}", code="H3-VIEW-004")
     gathered = _Gathered()
     gathered.add(roots, spread)
     curves = {root.name: curve for root in roots if (curve := read_curves(root))}
     if not gathered.count and not curves:
-        raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.")
+        raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.", code="H3-VIEW-005")
     if named := unseen_partners or evaluated_zsc(roots):
         gathered.name_population(named)
     return ReportData(
@@ -231,7 +231,8 @@ class _Gathered:
         if strangers := [name for name in zsc if name not in partners]:
             raise InputError(
                 f"No episode has the partner {strangers[0]!r}; there are: {', '.join(partners) or 'none'}."
-                f"{did_you_mean(strangers[0], partners)}"
+                f"{did_you_mean(strangers[0], partners)}",
+                code="H3-VIEW-007",
             )
         for key, episodes in self.grouped.items():
             self.grouped[key] = [
@@ -259,7 +260,8 @@ class _Gathered:
         if self.profiles.setdefault(key, profile) is not profile:
             raise InputError(
                 f"Episodes of {episode.metrics.task!r} by {policy!r} in {root} ask for two metrics profiles, "
-                f"{self.profiles[key].name} and {profile.name}. Hint: report them separately."
+                f"{self.profiles[key].name} and {profile.name}. Hint: report them separately.",
+                code="H3-VIEW-008",
             )
         self.grouped.setdefault(key, []).append(episode)
 
@@ -314,7 +316,9 @@ def read_curves(folder: Path) -> dict[str, NDArray[np.float64]]:
     try:
         table = read(path)
     except (pa.ArrowException, OSError) as error:
-        raise InputError(f"Expected a table of numbers with a column {steps} ({error}): {path}") from error
+        raise InputError(
+            f"Expected a table of numbers with a column {steps} ({error}): {path}", code="H3-VIEW-009"
+        ) from error
     numeric = {
         name: np.asarray(table[name].to_numpy(), np.float64)
         for name in table.column_names
@@ -322,7 +326,8 @@ def read_curves(folder: Path) -> dict[str, NDArray[np.float64]]:
     }
     if steps not in numeric or len(numeric) < 2:
         raise InputError(
-            f"Expected columns of numbers, one of them {steps}; got {', '.join(map(repr, table.column_names))}: {path}"
+            f"Expected columns of numbers, one of them {steps}; got {', '.join(map(repr, table.column_names))}: {path}",
+            code="H3-VIEW-006",
         )
     return {"step": numeric.pop(steps), **numeric}
 
@@ -375,7 +380,8 @@ def _pooled(runs: Sequence[Run], roots: Sequence[Path], patterns: Sequence[str])
         if len(told[pattern]) < 2:
             policies = sorted({run.policy for run in runs})
             raise InputError(
-                f"Expected several policies that fit {pattern!r}, got {len(told[pattern])}; there are: {', '.join(policies)}."
+                f"Expected several policies that fit {pattern!r}, got {len(told[pattern])}; there are: {', '.join(policies)}.",
+                code="H3-VIEW-010",
             )
     out = list(runs)
     for pattern, policies in told.items():

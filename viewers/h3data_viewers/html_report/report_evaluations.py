@@ -80,7 +80,7 @@ def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
     try:
         task = str(json.loads((root / "table.json").read_text(encoding="utf-8"))["job"]["task"])
     except (ValueError, KeyError, TypeError):
-        raise FormatError(f"Expected the table of h3data evaluate: {root / 'table.json'}") from None
+        raise FormatError(f"Expected the table of h3data evaluate: {root / 'table.json'}", code="H3-VIEW-011") from None
     for file in sorted((root / "episodes").glob("[0-9]*.json")):
         try:
             result = json.loads(file.read_text(encoding="utf-8"))
@@ -88,7 +88,7 @@ def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
             for row in result["rows"]:
                 yield _episode(file, row, asked, task)
         except (ValueError, KeyError, TypeError) as fault:
-            raise FormatError(f"Expected a result of h3data evaluate ({fault!r}): {file}") from None
+            raise FormatError(f"Expected a result of h3data evaluate ({fault!r}): {file}", code="H3-VIEW-012") from None
 
 
 def _episode(file: Path, row: Mapping[str, Any], asked: Mapping[str, Any], task: str) -> tuple[ReportEpisode, Profile]:

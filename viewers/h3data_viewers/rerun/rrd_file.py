@@ -116,7 +116,8 @@ def write_comparison_rrd(
         if not len(shown.recording):
             raise InputError(
                 f"Expected two recordings with steps to compare, but {label}, {_title(shown)!r}, has none. "
-                "Hint: view the other one alone."
+                "Hint: view the other one alone.",
+                code="H3-VIEW-021",
             )
     return _write_file([first, second], Path(path), images=images, skin_every=skin_every, overwrite=overwrite)
 
@@ -131,7 +132,9 @@ def _write_file(
     ready: Callable[[], object] | None = None,
 ) -> Path:
     if path.exists() and not overwrite:
-        raise InputError(f"The file already exists; choose another name or pass overwrite=True: {path}")
+        raise InputError(
+            f"The file already exists; choose another name or pass overwrite=True: {path}", code="H3-VIEW-001"
+        )
     stream = _stream(sides)
     path.parent.mkdir(parents=True, exist_ok=True)
     # Rerun's own file sink reports a full disk in its log only, and the file would be cut
@@ -142,7 +145,10 @@ def _write_file(
         content = encoded.read()  # unread data would be reported as dropped
         stream.disconnect()
     if not content:
-        raise H3DataError("Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it.")
+        raise H3DataError(
+            "Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it.",
+            code="H3-VIEW-018",
+        )
     with part_file(path) as part:
         part.write_bytes(content)
     return path
@@ -164,7 +170,9 @@ def _stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
     try:
         import rerun as rr
     except ImportError as error:
-        raise MissingExtraError('Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"') from error
+        raise MissingExtraError(
+            'Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"', code="H3-VIEW-022"
+        ) from error
     identity = " ".join(side.recording.episode.uid for side in sides)
     return rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
 
@@ -246,7 +254,7 @@ def _check_videos(feeds: Sequence[Sequence[CameraFeed]]) -> None:
     videos = [(feed.camera.name, feed.video) for group in feeds for feed in group if feed.video is not None]
     missing = [f"{name}: {video}" for name, video in videos if not video.is_file()]
     if missing:
-        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.")
+        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.", code="H3-VIEW-019")
 
 
 def _title(shown: ShownRecording) -> str:
@@ -265,7 +273,10 @@ def _named_cameras(shown: ShownRecording) -> list[CameraFeed]:
     if not shown.videos:
         return []
     if not isinstance(shown.replay, Replay):
-        raise InputError("Videos by camera name need an h3data.replay.Replay. Hint: pass cameras=[CameraFeed(...)].")
+        raise InputError(
+            "Videos by camera name need an h3data.replay.Replay. Hint: pass cameras=[CameraFeed(...)].",
+            code="H3-VIEW-020",
+        )
     tracks = {name: camera_track(shown.replay, name) for name in shown.videos}
     return [CameraFeed(camera=t.camera, poses=t.poses, video=Path(shown.videos[name])) for name, t in tracks.items()]
 

@@ -173,7 +173,7 @@ def _turned_to_well(layout: Layout, *, high: bool) -> tuple[Layout, tuple[str, f
             line = plan.width if high else 0.0
             found += [(penalty, plan, door) for penalty, door in _doors(plan, line)]
     if not found:
-        raise SceneError("No outer wall of a hall or living room has room for the stairwell.")
+        raise SceneError("No outer wall of a hall or living room has room for the stairwell.", code="H3-SCENE-035")
     _, plan, door = min(found, key=lambda option: option[0])
     return plan, door
 

@@ -101,7 +101,7 @@ class RearrangeBank:
             SceneError: no home has room for an episode.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
-            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.")
+            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.", code="H3-TRAIN-060")
         source = EpisodeSource(Rearrange(), scenes, spec=spec, robot=robot, human=human)
         runs = [(seed, k) for k in range(count)]
         source.prepare(runs)
@@ -230,12 +230,14 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
     if first.spec.oracle is None:
         raise InputError(
             "On a device skills are the oracle ones. Hint: spec=sim_kinematic.tasks.rearrange.episode.ORACLE_RULES, or "
-            "leave out device."
+            "leave out device.",
+            code="H3-TRAIN-061",
         )
     if first.spec.robot.slide != "strict" or first.spec.human.stride is not None:
         raise InputError(
             "On a device robots slide strictly and people turn on the spot. Hint: BaseSpec() and WalkerSpec(), as in "
-            "ORACLE_RULES, or leave out device."
+            "ORACLE_RULES, or leave out device.",
+            code="H3-TRAIN-062",
         )
     for episode in episodes:
         kinds = tuple(member.kind for member in episode.roster)
@@ -243,8 +245,12 @@ def _check(episodes: Sequence[RearrangeEpisode]) -> None:
         if kinds != PAIR or models[0] != models[1] or len(episode.targets) != first.spec.objects:
             raise InputError(
                 f"A bank is of one robot, one person and {first.spec.objects} objects, got {kinds} and "
-                f"{len(episode.targets)}."
+                f"{len(episode.targets)}.",
+                code="H3-TRAIN-063",
             )
         if agent_floor(episode, ROBOT) is not episode.free:
-            raise InputError(f"On a device robots are as narrow as people; {episode.roster[ROBOT].model} is wider.")
+            raise InputError(
+                f"On a device robots are as narrow as people; {episode.roster[ROBOT].model} is wider.",
+                code="H3-TRAIN-064",
+            )
         refuse_stairs([episode.free])

@@ -214,7 +214,7 @@ def checked_observations(names: tuple[str, ...]) -> tuple[str, ...]:
     """
     unknown = [name for name in names if name not in OBSERVED]
     if unknown or not names:
-        raise InputError(f"On a device there are {', '.join(OBSERVED)}, got {unknown or 'none'}.")
+        raise InputError(f"On a device there are {', '.join(OBSERVED)}, got {unknown or 'none'}.", code="H3-TRAIN-068")
     return tuple(dict.fromkeys(names))
 
 

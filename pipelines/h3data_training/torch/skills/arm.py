@@ -70,7 +70,9 @@ class Arm:
         robot = self.robot
         origin, axis, kind = robot.origins[link], robot.axes[link], int(robot.kinds[link])
         if kind not in (FIXED, TURNS, SLIDES):
-            raise InputError(f"Arms with ball joints are simulated on the CPU only, {robot.name} has one.")
+            raise InputError(
+                f"Arms with ball joints are simulated on the CPU only, {robot.name} has one.", code="H3-TRAIN-069"
+            )
         own, gain, offset = -1, float(robot.gains[link]), float(robot.offsets[link])
         if kind != FIXED and int(robot.columns[link]) in columns:
             own = columns.index(int(robot.columns[link]))

@@ -58,11 +58,12 @@ class SkillBank:
         """
         rows = [(episode, floor, start) for episode, floor, some in starts for start in some]
         if not rows:
-            raise InputError("Expected at least one start of a skill, got none.")
+            raise InputError("Expected at least one start of a skill, got none.", code="H3-TRAIN-070")
         homes = list({id(episode.scene): (episode.scene, floor) for episode, floor, _ in rows}.values())
         if any(scene.articulations or len(floor.heights) for scene, floor in homes):
             raise InputError(
-                "Skills are simulated on a device only in homes on one floor where nothing opens. Hint: h3-homes/train."
+                "Skills are simulated on a device only in homes on one floor where nothing opens. Hint: h3-homes/train.",
+                code="H3-TRAIN-071",
             )
         number = {id(scene): k for k, (scene, _) in enumerate(homes)}
         found = [start for _, _, start in rows]

@@ -123,7 +123,7 @@ class SkillTensors:
         self.arm = Arm(body, self.device, dtype)
         own = base_of(body, base or HOME_BASE)
         if own.slide != "strict":
-            raise InputError(f"On a device robots slide strictly only, not as {own.slide!r}.")
+            raise InputError(f"On a device robots slide strictly only, not as {own.slide!r}.", code="H3-TRAIN-072")
         grids = Grids.of(bank.floors, self.device, dtype)
         self.drive = Drive(grids=grids, base=own, carrying=carrying_base_of(body, own))
         self.lattices = Lattices.of(bank.floors, self.device, dtype)
@@ -344,5 +344,5 @@ class SkillTensors:
         }
         strangers = [name for name in names if name not in known]
         if strangers:
-            raise InputError(f"On a device there is no observation {strangers[0]!r} of skills.")
+            raise InputError(f"On a device there is no observation {strangers[0]!r} of skills.", code="H3-TRAIN-073")
         return {name: known[name]().float() for name in names}
