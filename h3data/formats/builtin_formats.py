@@ -153,7 +153,7 @@ BUILT_IN = (
         name="navmesh",
         title="a Habitat navmesh",
         begins=_magic(b"TESM"),
-        hint="read it with h3data.habitat.navmesh.navmesh_file.read_navmesh",
+        hint="read it with h3data.habitat.navmesh_file.read_navmesh",
     ),
     Format(name="mcap", title="an MCAP log", begins=_magic(b"\x89MCAP0\r\n")),
     Format(

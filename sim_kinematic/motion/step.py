@@ -15,11 +15,11 @@ from typing import get_args
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.habitat.navmesh.pathfinder import PathFinder
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from h3data.scene.floor_heights import way_to_stairs
 from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
+from h3data.scene.navmesh.pathfinder import PathFinder
 from sim_kinematic.motion.habitat_slide import slide_as_habitat
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide
 from sim_kinematic.motion.state import AgentState, RobotState

@@ -14,9 +14,9 @@ from h3data.bodies import load_robot
 from h3data.bodies.motion.walk_names import JOIN, split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
-from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
-from h3data.habitat.episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
 from h3data.plugins import names_from_data
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
+from h3data.recording.task_episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster, with_motion

@@ -491,8 +491,8 @@ def test_episodes_of_an_export_lead_to_its_scenes(
     """From the working directory of the export, as Habitat's own; and h3data finds them when the folder has moved."""
     from h3data.habitat.episodes.episode_files import read_episodes
     from h3data.habitat.episodes.episode_scenes import scene_of_episode
-    from h3data.habitat.episodes.rearrange_episode import instance_handles
-    from h3data.habitat.episodes.social_nav_episodes import read_social_nav
+    from h3data.recording.task_episodes.rearrange_episode import instance_handles
+    from h3data.recording.task_episodes.social_nav_episodes import read_social_nav
     from h3data.scene.sources import SceneFile
 
     monkeypatch.chdir(tmp_path)

@@ -18,14 +18,14 @@ from h3data.exporters.habitat.scenes import DatasetExport
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import pose_to_matrix
 from h3data.habitat.episodes.episode_files import write_episodes
-from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, RigidObject, handles_of
-from h3data.habitat.episodes.stored_rearrangements import (
+from h3data.recording.records import Recording
+from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, RigidObject, handles_of
+from h3data.recording.task_episodes.stored_rearrangements import (
     EpisodeObject,
     StoredRearrangement,
     rearrangement_entry,
     rearrangement_of,
 )
-from h3data.recording.records import Recording
 from h3data.scene import load_scene, scene_digest
 from h3data.scene.records import Instance, Scene
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.habitat.episodes.rearrange_episode import (
+from h3data.recording.task_episodes.rearrange_episode import (
     RIGID_TOLERANCE,
     Marker,
     Matrix,

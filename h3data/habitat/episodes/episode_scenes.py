@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from h3data.errors import H3DataError, SceneError
-from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode
-from h3data.habitat.episodes.stored_episodes import StoredEpisode
 from h3data.habitat.scene_files import dataset_at, find_scene_file, folders_of
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
+from h3data.recording.task_episodes.stored_episodes import StoredEpisode
 from h3data.scene import scene_digest
 from h3data.scene.open import open_scene
 from h3data.scene.sources import SceneFile, SceneSource, SceneSpec, recorded_spec

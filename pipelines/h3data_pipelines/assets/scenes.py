@@ -24,8 +24,8 @@ from h3data.commands.command import (
     claim_file,
 )
 from h3data.errors import InputError, SceneError
-from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RigidObject
 from h3data.progress import progress
+from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RigidObject
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.homes import HOME_NAMES
 from h3data.scene.open import NamedScene, collection_and_scene, is_collection, named_scenes, open_free_space, open_scene
@@ -441,7 +441,7 @@ def _episodes(scenes: SceneSet, max_count: int | None, folder: Path, config: str
     Their paths lead through ``folder`` as it was given, so Habitat finds the scenes from the working directory of the export,
     as with its own ``data/...``.
     """
-    from h3data.habitat.episodes.social_nav_episodes import social_nav_episode
+    from h3data.recording.task_episodes.social_nav_episodes import social_nav_episode
     from sim_kinematic.tasks.social_nav.sets import set_episode
 
     count = scenes.episodes if max_count is None else min(max_count, scenes.episodes)

@@ -18,8 +18,8 @@ from h3data_pipelines.jobs.failed_episodes import is_failed
 from h3data_pipelines.jobs.running import simulate_job
 
 if TYPE_CHECKING:
-    from h3data.habitat.episodes.rearrange_episode import EpisodeSet
-    from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
+    from h3data.recording.task_episodes.rearrange_episode import EpisodeSet
+    from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
     from sim_kinematic.tasks.task import Task
 
 
@@ -189,7 +189,7 @@ def _digest(path: Path, read: EpisodeSet) -> str:
 
 def _not_of_task(entry: FileEntry, task: Task, path: Path) -> str:
     """Why an entry of an episode file is none of a task."""
-    from h3data.habitat.episodes.stored_episodes import task_of
+    from h3data.recording.task_episodes.stored_episodes import task_of
 
     of = task_of(entry)
     if of is not None:
@@ -244,7 +244,7 @@ def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
         SceneError: none can be sampled.
     """
     from h3data.habitat.episodes.episode_files import write_episodes
-    from h3data.habitat.episodes.rearrange_episode import EpisodeSet
+    from h3data.recording.task_episodes.rearrange_episode import EpisodeSet
 
     entries: list[FileEntry] = []
     faults: dict[int, H3DataError] = {}

@@ -18,7 +18,7 @@ from h3data.scene.scene_sets import SceneSet
 from h3data.scene.sources import SceneFile, SceneSource
 
 if TYPE_CHECKING:
-    from h3data.habitat.episodes.stored_episodes import StoredEpisode
+    from h3data.recording.task_episodes.stored_episodes import StoredEpisode
     from h3data.scene.open import NamedScene
     from sim_kinematic.tasks.episode import Episode
     from sim_kinematic.tasks.task import Task

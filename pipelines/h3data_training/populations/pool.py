@@ -15,8 +15,8 @@ import numpy as np
 
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
-from h3data.habitat.episodes.stored_rearrangements import StoredGoal
 from h3data.progress import progress
+from h3data.recording.task_episodes.stored_rearrangements import StoredGoal
 from h3data.scene.open import listed_scenes, named_scenes
 from h3data_training.checkpoints import differences
 from h3data_training.episodes import by_home

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
-from h3data.habitat.episodes.stored_rearrangements import EpisodeObject
+from h3data.recording.task_episodes.stored_rearrangements import EpisodeObject
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.driven.object_room import object_extent

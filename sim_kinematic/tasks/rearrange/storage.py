@@ -15,17 +15,17 @@ from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_rotate
 from h3data.habitat.episodes.episode_objects import read_object_template, search_in, search_of, with_objects
-from h3data.habitat.episodes.partnr_goals import Placement
-from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
-from h3data.habitat.episodes.stored_episodes import plain
-from h3data.habitat.episodes.stored_rearrangements import (
+from h3data.plugins import names_from_data
+from h3data.recording.task_episodes.partnr_goals import Placement
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
+from h3data.recording.task_episodes.stored_episodes import plain
+from h3data.recording.task_episodes.stored_rearrangements import (
     StoredGoal,
     StoredRearrangement,
     content_digest,
     read_rearrangement,
     rearrangement_entry,
 )
-from h3data.plugins import names_from_data
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.sources import SceneFile, SceneSource
 from sim_kinematic.agents.driven.object_room import object_extent

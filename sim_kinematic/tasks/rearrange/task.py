@@ -19,8 +19,8 @@ import numpy as np
 
 from h3data.bodies import Robot, load_humanoid, load_robot
 from h3data.errors import InputError
-from h3data.habitat.episodes.stored_rearrangements import StoredGoal
 from h3data.recording import Agent, Body, Recording, SkillSpan
+from h3data.recording.task_episodes.stored_rearrangements import StoredGoal
 from h3data.scene import FreeSpace, Scene, joint_names
 from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_json, command_to_json, interrupts_skill
 from sim_kinematic.agents.driven.person import DrivenPerson

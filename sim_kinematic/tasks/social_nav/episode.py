@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
-from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.plugins import names_from_data
+from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode
 from h3data.scene import FreeSpace, Scene, scene_digest
 from sim_kinematic.agents.roster import ROBOT_BODY, make_roster, with_body
 from sim_kinematic.agents.stands import discs_fit

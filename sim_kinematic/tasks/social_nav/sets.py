@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
+from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode
 from h3data.scene.open import open_free_space, open_scene
 from h3data.scene.scene_sets import SceneEntry, SceneSet
 from h3data.scene.sources import SceneSource

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
-from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode, read_social_nav, social_nav_episode
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode as FileEntry
+from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode, read_social_nav, social_nav_episode
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.social_nav.episode import episode_from, rules_of, stored_episode

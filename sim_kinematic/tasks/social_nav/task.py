@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.recording import Event, Recording
+from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.agents.stands import robot_fits

@@ -19,7 +19,7 @@ from h3data.errors import FormatError, InputError
 from h3data.formats import detect
 from h3data.geometry import pose_from_matrix, pose_to_matrix
 from h3data.habitat.episodes.episode_files import read_episodes, write_episodes
-from h3data.habitat.episodes.rearrange_episode import (
+from h3data.recording.task_episodes.rearrange_episode import (
     ContentFile,
     EpisodeSet,
     Marker,

@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 from h3data.errors import FormatError, InputError
 from h3data.geometry import heading_direction, quat_rotate
 from h3data.habitat.episodes.episode_files import read_episodes, write_episodes
-from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, RigidObject
-from h3data.habitat.episodes.social_nav_episodes import (
+from h3data.recording import Event, Recording
+from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, RigidObject
+from h3data.recording.task_episodes.social_nav_episodes import (
     SocialNavEpisode,
     read_social_nav,
     social_nav_episode,
     social_nav_of,
 )
-from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.simulated import SOCIAL_NAV, simulate_social_nav

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from h3data.errors import FormatError, InputError
-from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
 
 PROPOSITIONS = "evaluation_propositions"
 ON_FURNITURE = ("is_on_top", "is_inside")

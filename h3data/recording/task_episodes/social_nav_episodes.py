@@ -16,9 +16,9 @@ import numpy as np
 
 from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError
-from h3data.habitat.episodes.rearrange_episode import Matrix, RearrangeEpisode, RigidObject
-from h3data.habitat.episodes.stored_episodes import Start, info_block, plain, read_info_block, start_fields
 from h3data.recording import Recording
+from h3data.recording.task_episodes.rearrange_episode import Matrix, RearrangeEpisode, RigidObject
+from h3data.recording.task_episodes.stored_episodes import Start, info_block, plain, read_info_block, start_fields
 
 TASK = "social_nav"
 

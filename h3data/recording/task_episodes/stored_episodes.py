@@ -11,7 +11,7 @@ import msgspec
 
 from h3data.errors import FormatError, InputError
 from h3data.geometry import quat_from_heading
-from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode
+from h3data.recording.task_episodes.rearrange_episode import RearrangeEpisode
 
 KEY = "h3data"
 VERSION = 1

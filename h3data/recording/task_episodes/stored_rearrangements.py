@@ -1,7 +1,7 @@
 """Rearrangement episodes in Habitat's files: which objects lie where, where they have to go, where the agents start.
 
 Habitat's own files hold objects and goals (spec/habitat.md 6.5) but no starts; ours hold everything, under
-``info["h3data"]`` (`h3data.habitat.episodes.stored_episodes`). Both are read as one record.
+``info["h3data"]`` (`h3data.recording.task_episodes.stored_episodes`). Both are read as one record.
 """
 
 from __future__ import annotations
@@ -17,16 +17,23 @@ import numpy as np
 from h3data.bodies.motion.walk_names import split_walk
 from h3data.errors import InputError
 from h3data.geometry import pose_from_matrix
-from h3data.habitat.episodes.partnr_goals import Placement, placements_of
-from h3data.habitat.episodes.rearrange_episode import (
+from h3data.recording import Recording
+from h3data.recording.task_episodes.partnr_goals import Placement, placements_of
+from h3data.recording.task_episodes.rearrange_episode import (
     Matrix,
     RearrangeEpisode,
     RigidObject,
     instance_handles,
     is_rigid,
 )
-from h3data.habitat.episodes.stored_episodes import Start, info_block, plain, read_info_block, start_fields, task_of
-from h3data.recording import Recording
+from h3data.recording.task_episodes.stored_episodes import (
+    Start,
+    info_block,
+    plain,
+    read_info_block,
+    start_fields,
+    task_of,
+)
 
 TASK = "rearrange"
 
