@@ -42,7 +42,8 @@ AREAS = {
     "SIM": ("agents and their world", "simulation", "sim_kinematic"),
     "TASK": ("tasks and episodes", "simulation", "sim_kinematic/tasks"),
     "POLICY": ("policies", "learned-policies", "sim_kinematic/policies"),
-    "ENV": ("environments", "environments", "sim_kinematic/envs sim_kinematic/torch pipelines/h3data_training/envs"),
+    "ENV": ("environments", "environments", "sim_kinematic/envs "
+            "pipelines/h3data_training/torch pipelines/h3data_training/envs"),
     "OPTION": ("commands and their options", "python", "h3data/commands pipelines/h3data_pipelines"),
     "JOB": ("jobs", "scale", "pipelines/h3data_pipelines/jobs pipelines/h3data_pipelines/execution"),
     "MACHINE": ("the installation and the machine", "troubleshooting", "pipelines/h3data_pipelines/machine h3data/kernels"),

@@ -50,7 +50,7 @@ LightOption = Annotated[
 ]
 BackendOption = Annotated[
     Literal["auto", "cpu", "gpu"],
-    tyro.conf.arg(help="Who draws: cpu; gpu, whose pictures differ in few pixels; or auto, a GPU if there is one."),
+    tyro.conf.arg(help="Renderer: cpu; gpu, whose images differ in a few pixels; or auto, a GPU if there is one."),
 ]
 WalkOption = Literal["paper", "natural"]
 RulesOption = Annotated[

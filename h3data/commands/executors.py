@@ -20,7 +20,7 @@ EXECUTORS: Registry[Callable[[str, int], AbstractContextManager[Executor]]] = Re
 ExecutorOption = Annotated[
     str,
     tyro.conf.arg(
-        help="Who does the work: local (processes of this machine), ray (a Ray cluster that runs here or that RAY_ADDRESS "
+        help="Where the work is done: local (processes of this machine), ray (a Ray cluster that runs here or that RAY_ADDRESS "
         "names, else Ray on this machine) or ray://HOST:PORT. The results are the same (h3data docs scale)."
     ),
 ]

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
+import docstring_parser
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
@@ -187,6 +188,10 @@ def _documented(command: type[Command], task: str) -> Any:
     annotations: dict[str, Any] = {}
     by_field = {option.field: option for option in options_of(command)}
     tasks = known_tasks(by_field.values())
+    # tyro keeps the line breaks of the source, which are not those of the terminal
+    texts = {
+        p.arg_name: " ".join((p.description or "").split()) for p in docstring_parser.parse_from_object(command).params
+    }
     for name, kind in get_type_hints(command, include_extras=True).items():
         if name not in by_field:  # a class variable
             continue
@@ -201,7 +206,7 @@ def _documented(command: type[Command], task: str) -> Any:
         if option.tasks and (not task or task in tasks) and task not in option.tasks:
             kind = Annotated[kind, tyro.conf.Suppress]
         hint = functools.partial(_hint, f"{task}: {option.notes[task]}" if task in option.notes else "")
-        annotations[name] = Annotated[kind, tyro.conf.arg(help_behavior_hint=hint)]
+        annotations[name] = Annotated[kind, tyro.conf.arg(help=texts.get(name), help_behavior_hint=hint)]
     members = {"__doc__": command.__doc__, "__module__": command.__module__, "__annotations__": annotations}
     return type(command.__name__, (command,), members)
 

@@ -209,11 +209,22 @@ def test_help_shows_the_options_of_a_task_with_the_task(capsys: pytest.CaptureFi
     assert "--ablate" in shown("train", "rearrange")
 
 
+def test_help_wraps_texts_at_the_terminal_and_not_where_the_source_does(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["generate", "--help"])
+    lines = [line.strip("│ ") for line in capsys.readouterr().out.splitlines()]
+    start = next(k for k, line in enumerate(lines) if "--scenes" in line)
+    *full, _ = lines[start + 1 : next(k for k in range(start, len(lines)) if "--episodes-file" in lines[k])]
+    assert len(full) > 2
+    for line, following in zip(full, [*full[1:], lines[start + 1 + len(full)]], strict=True):
+        assert len(line) + len(following.split()[0]) >= max(map(len, full)) - 8, f"{line} is cut short"
+
+
 def test_options_of_other_tasks_are_refused(tmp_path: Path) -> None:
     refused = r"^These are no options of social_nav: --agents \(of rearrange and wander\), --skills \(of rearrange\)\."
     with pytest.raises(InputError, match=refused):
         parse(["generate", "social_nav", "--skills", "learned", "--agents", "robot", "-o", "x"], COMMANDS, about="")
-    with pytest.raises(InputError, match=r"^These are no options of social_nav: skills \(of rearrange\)\.$"):
+    with pytest.raises(InputError, match=r"^These are no options of social_nav: skills \(of rearrange\)\."):
         h3data.generate("social_nav", tmp_path, skills="learned")
     parse(["generate", "my_tasks:Mine", "--skills", "learned", "-o", "x"], COMMANDS, about="")
 

@@ -97,9 +97,9 @@ def evaluate(
 class Evaluate:
     """Play policies in the same episodes and compare their metrics with the paper's.
 
-    S, SPS, F, CR, BYR, TD and FD of social_nav; SR, RE, CR and RC with every partner of rearrange, with 95% intervals. Each
-    episode is a small file in the output folder: an interrupted evaluation goes on where it was. skill: how often each learned
-    skill succeeds, the robot alone.
+    The table has S, SPS, F, CR, BYR, TD and FD of social_nav, or SR, RE, CR and RC of rearrange with every partner, with 95%
+    intervals; of skill, how often each learned skill succeeds, with the robot alone. Each episode is a small file in the output
+    folder, so that an interrupted evaluation continues where it was.
 
     Examples:
         h3data evaluate rearrange --scenes h3-homes/test -o out/zsc
@@ -116,13 +116,13 @@ class Evaluate:
     """
 
     task: tyro.conf.Positional[str]
-    """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals; skill: nav,
+    """social_nav: find a walking person and follow them. rearrange: help them to bring two objects to their goals. skill: nav,
     pick and place, one by one."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: Annotated[tuple[str, ...], OfTasks(("social_nav", "rearrange")), ROBOT_POLICIES]
-    """Robots: names as of h3data generate, or all. weights:out/s*/policy.npz, in quotes, stands for all files that fit: they
-    are one row, the mean over training seeds and its standard deviation."""
+    """Policies of the robot: names as for h3data generate, or all. A pattern in quotes such as "weights:out/s*/policy.npz"
+    stands for all files that match: they are one row, the mean over training seeds and its standard deviation."""
     partners: Annotated[tuple[str, ...], OfTasks(("social_nav", "rearrange")), PARTNERS]
     """Policies of the person, or all."""
     unseen_partners: Annotated[tuple[str, ...], OfTasks(("rearrange",))]
@@ -131,22 +131,22 @@ class Evaluate:
     scenes: tuple[str, ...]
     """Scenes, as for h3data generate."""
     episodes_file: Path | None
-    """Episode file instead of --scenes, as of h3data generate: one of ours, in rearrange also Habitat's or PARTNR's."""
+    """Episode file instead of --scenes, as for h3data generate: one of ours, in rearrange also Habitat's or PARTNR's."""
     assets: AssetsOption
     allow_missing: MissingFlag
     episodes: int | None
-    """How many (default: all of a set, else 10)."""
+    """Number of episodes (default: all of a set or file, else 10)."""
     homes: int
-    """Number of different homes of a preset that the episodes go round."""
+    """Number of different homes of a preset; the episodes use them in turn."""
     seed: int
-    """Everything random follows from it."""
+    """Seed of everything random."""
     robot: Annotated[str | None, OfTasks(("social_nav", "rearrange"))]
-    """Body of the robot, as of h3data generate (default: that of the episode, else quad_arm)."""
+    """Body of the robot, as for h3data generate (default: that of the episode, else quad_arm)."""
     human: str | None
     """Body of the person: a built-in one, with an outfit as in female_0:dress; any: each episode samples one of the twelve
-    adults; random: each makes one (default: female_0)."""
+    adults; random: a new person for each episode (default: female_0)."""
     motion: Path | None
-    """How people walk, as of h3data generate."""
+    """Motion file with the gait of people, as for h3data generate."""
     human_walk: WalkOption | None
     """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
     once (default: the episode's, else natural)."""
@@ -160,15 +160,15 @@ class Evaluate:
     rules: RulesOption
     light: Annotated[LightMode | None, OfTasks(("social_nav", "rearrange"))]
     """Light in the colours that policies are shown: baked, from windows, sun and lamps, or flat, the same everywhere (default:
-    the light that each has learned in). Those that see no colours play as ever."""
+    the light that each was trained in). It does not matter to policies that see no colours."""
     workers: int
-    """Processes."""
+    """Number of worker processes."""
     executor: ExecutorOption
     save_recordings: Annotated[bool, OfTasks(("social_nav", "rearrange"))]
     """Save the recordings, as datasets in OUT/recordings, for h3data report, view and rerender."""
     resume: bool
-    """Go on with an evaluation of the same options, which must be there. Without this, one that is there is gone on with
-    too."""
+    """Continue an evaluation that was started with the same options, and fail if there is none. Without this option, an
+    existing one is continued too."""
     force: ForceFlag
     json: JsonFlag = False
 

@@ -102,7 +102,7 @@ class Export:
     assets: tuple[Path, ...]
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS)."""
     person_detail: PersonDetail
-    """Meshes of people for gfx-replay and gltf: full has 19,000 vertices, low 3,000."""
+    """Meshes of people for gfx-replay and gltf: full has 19 000 vertices, low 3 000."""
     people: PeopleOption
     stand_ins: StandInsFlag
     cameras: tuple[str, ...]

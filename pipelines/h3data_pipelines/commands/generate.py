@@ -151,7 +151,7 @@ def generate(
 class Generate:
     """Simulate episodes into a Parquet dataset (LeRobot v3 layout). The same seed gives the same episodes, bit for bit.
 
-    Finished episodes survive Ctrl-C and kill: the same command with --resume goes on. An episode that cannot be played is
+    Finished episodes survive Ctrl-C and kill: the same command with --resume continues. An episode that cannot be played is
     listed at the end with its seed and error (exit code 1); the others are not stopped by it.
 
     Examples:
@@ -179,12 +179,12 @@ class Generate:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset, or its URI: s3://bucket/ds."""
     episodes: int | None
-    """How many (default: all of a set or file, else 10)."""
+    """Number of episodes (default: all of a set or file, else 10)."""
     seed: int
-    """Everything random follows from it. With a set, 0 gives its own episodes, any other number new ones in its scenes."""
+    """Seed of everything random. With a scene set, 0 gives the set's own episodes, any other number new ones in its scenes."""
     scenes: tuple[str, ...]
     """small, medium or large (built-in homes), one home as small:3, a set (h3-homes/train, /val, /test, or a .toml file), one
-    of its scenes as h3-homes/test#3, or the path of a scene (.scene_instance.json, .glb); of several, each in turn."""
+    of its scenes as h3-homes/test#3, or the path of a scene (.scene_instance.json, .glb). Several are used in turn."""
     episodes_file: Path | None
     """Episode file (.json.gz, .json, .pickle) instead of --scenes: one of ours (--save-episodes, h3data scenes export); in
     rearrange also Habitat's and PARTNR's, whose starts are sampled from --seed."""
@@ -193,7 +193,7 @@ class Generate:
     assets: AssetsOption
     allow_missing: MissingFlag
     homes: int
-    """Number of different homes of a preset that the episodes go round."""
+    """Number of different homes of a preset; the episodes use them in turn."""
     policies: Annotated[tuple[str, ...], ROBOT_POLICIES]
     """Policy of the robot, or of each robot in turn: a name, weights:FILE (h3data docs learned-policies) or module:name."""
     partners: Annotated[tuple[str, ...], PARTNERS]
@@ -205,11 +205,11 @@ class Generate:
     """Body of each agent named robot: a built-in one, a URDF, or a folder with robot.toml (default: quad_arm)."""
     human: str | None
     """Body of each agent named human: a built-in one, with an outfit as in female_0:dress; random:SEED; an .npz file; any: each
-    episode samples one of the twelve adults; random: each makes people of its own, in wander each person (default: the
+    episode samples one of the twelve adults; random: new people for each episode, in wander for each person (default: the
     episode's, else female_0)."""
     motion: Path | None
-    """How people walk: as in a motion file, one of h3data motion import, AMASS, Habitat or BVH (h3data docs motion). It is kept
-    in each recording."""
+    """Motion file with the gait of people: one of h3data motion import, AMASS, Habitat or BVH (h3data docs motion). It is
+    stored in each recording."""
     human_walk: WalkOption | None
     """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
     once (default: the episode's, else natural)."""
@@ -218,26 +218,27 @@ class Generate:
     max_steps: Annotated[int | None, MAX_STEPS]
     """Length limit of an episode, at 30 steps per second (default: the episode's, else that of the task)."""
     spawn_distance: Annotated[float | None, SPAWN_DISTANCE]
-    """Least distance between any two at the start [m] (default: 5, the paper's for evaluation)."""
+    """Least distance between any two agents at the start [m] (default: 5, the paper's for evaluation)."""
     skills: Annotated[tuple[str, ...], OfTasks(("rearrange",))]
-    """Learned skills for the robots instead of those that know all: learned (those that come with the package), a folder of
-    training runs, or policy files of h3data train skill; or oracle: simple rules that a GPU plays too, with the paper's people,
-    where nobody gives way to anybody."""
+    """Skills of the robots: learned (those that come with the package), a folder of training runs, or policy files of h3data
+    train skill; or oracle: simple rules that a GPU plays too, with the paper's people, where nobody gives way to anybody
+    (default: skills that know the whole state)."""
     rules: RulesOption
     cameras: tuple[str, ...]
     """Cameras whose videos are added to the dataset (observation.images.<name>), as in rerender."""
     people: PeopleOption
     light: LightOption
-    """Light of the videos. Policies that see colours get the light of their training."""
+    """Light of the videos: baked, from windows, sun and lamps; or flat, the same everywhere. Policies that see colours get the
+    light of their training."""
     backend: BackendOption
     workers: int
-    """Processes."""
+    """Number of worker processes."""
     executor: ExecutorOption
     mcap: bool
     """Also write each episode as <out>/mcap/<episode>.mcap, at the end."""
     share_scenes: ShareScenesFlag
     resume: bool
-    """Go on with an interrupted dataset that was started with the same options."""
+    """Continue an interrupted dataset that was started with the same options."""
     dry_run: DryRunFlag = False
     force: ForceFlag
     json: JsonFlag = False

@@ -98,7 +98,8 @@ class View:
     """Cameras to render at every fifth step: names as in rerender, or .toml or .json files (.rrd only)."""
     people: PeopleOption
     light: LightOption
-    """Light in the cameras' pictures and in strips; the 3-D scene has none."""
+    """Light in strips and in the pictures of cameras: baked, from windows, sun and lamps; or flat, the same everywhere. The 3-D
+    scene has none."""
     assets: tuple[Path, ...]
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     stand_ins: StandInsFlag
