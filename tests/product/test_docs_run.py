@@ -187,7 +187,9 @@ def shortened(words: list[str]) -> list[str]:
             is_fast = (
                 "fast" in words or "--warm-start" in words
             )  # later commands begin with what earlier ones have trained
-            words = _without(words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds", "--rollout")
+            words = _without(
+                words, "--recipe", "--device", "--minutes", "--stop-after", "--worlds", "--rollout", "--scenes"
+            )
             words += ["--recipe", "fast"] if is_fast else []
             words += ["--scenes", "h3-homes/train#0", "--updates", "1"]
             words += [] if "rearrange" in words else ["--worlds", "8"]
