@@ -297,7 +297,7 @@ def test_a_gfx_replay_is_said_to_be_taken_for_a_task(tmp_path, capsys):
 
 
 def evaluated(number: int, policy: str, *partners: str, near: float = 1.0) -> Recording:
-    """What ``h3data evaluate --keep`` leaves of an episode: partners that do the same share it."""
+    """What ``h3data evaluate --save-recordings`` leaves of an episode: partners that do the same share it."""
     found = episode(number, run=f"{policy} {partners[0]}", near=near)
     info = {**found.episode.info, "policy": policy, "partner": partners[0], "partners": list(partners)}
     return dataclasses.replace(found, episode=dataclasses.replace(found.episode, info=info))

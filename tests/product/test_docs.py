@@ -89,6 +89,31 @@ def test_commands_in_the_prose_exist(page: Path) -> None:
     assert {line: fault for line in quoted(page) if (fault := fault_of(line))} == {}
 
 
+def all_flags() -> set[str]:
+    """Options of all commands and scripts."""
+    scripts = [path for top in ("benchmarks", "examples", "pipelines/bake") for path in ROOT.glob(f"{top}/**/*.py")]
+    scripts += [ROOT / "tests" / "fingerprints.py", ROOT / "pyproject.toml"]
+    flags = {flag for path in scripts for flag in re.findall(r'"(--[a-z-]+)[" ]', path.read_text(encoding="utf-8"))}
+    for top in COMMANDS.values():
+        for command in top.commands.values() if isinstance(top, Group) else [top]:
+            flags |= {flag for option in options_of(command) for flag in option.flags}
+    return flags | {"--config", "--help", "--quiet", "--trust", "--version"}
+
+
+def bare_options(text: str) -> set[str]:
+    """Options that the prose of a page names without their command: `--max-steps 40`."""
+    return set(re.findall(r"`(--[a-z][a-z-]*[a-z])", BLOCK.sub("", text)))
+
+
+def test_options_in_the_prose_exist() -> None:
+    flags = all_flags() | {"--durations", "--compile"}  # of pytest, of an example
+    named = {page.name: bare_options(page.read_text(encoding="utf-8")) for page in [*PAGES, *OTHER_PAGES]}
+    del named["errors.md"]  # it also lists messages of earlier versions
+    assert sum(map(len, named.values())) > 200
+    assert {page: sorted(options - flags) for page, options in named.items() if options - flags} == {}
+    assert bare_options("`--zsc a,b`, `--seed 1`") - flags == {"--zsc"}
+
+
 def test_commands_in_the_tables_of_the_readme_are_complete() -> None:
     """A reader copies them: nothing that a command requires may be missing."""
     rows = [line for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines() if line.startswith("|")]
