@@ -264,3 +264,15 @@ def test_folders_stay_small(package: str) -> None:
         f"{folder.relative_to(ROOT)}: {size}" for folder, size in sorted(sizes.items()) if size > FILES_PER_FOLDER
     ]
     assert not crowded, f"More than {FILES_PER_FOLDER} modules in one folder; group them: {crowded}"
+
+
+def test_the_map_names_every_folder_and_every_registry() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    named = {part for span in re.findall(r"(?<!`)`([^`\n]+)`", text) for part in re.findall(r"[\w.]+", span)}
+    faces = {face.partition(".")[2] for face in FACES}
+    folders = {name.split(".")[1] for name in modules() if name.count(".") > 1 and name.startswith(tuple(LAYERS))}
+    assert sorted(folders - named - faces) == []
+    source = "".join(path.read_text(encoding="utf-8") for path in modules().values())
+    groups = {*re.findall(r'Registry\(\s*"(h3data\.\w+)"', source)}
+    assert len(groups) > 10
+    assert sorted(groups - named) == []
