@@ -196,7 +196,7 @@ def test_names() -> None:
         ("h3-homes/test#10", "It has 10: 0 to 9, or by id: test_00"),
         ("h3-homes/test#", "There is no scene ''"),
         ("small:", "Unknown scenes"),
-        ("small:-1", "Unknown scenes"),
+        ("small:-1", r"Expected a whole number from 0 .* as in small:3"),
     ):
         with pytest.raises(InputError, match=words):
             named_scenes(bad)
