@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from h3data.errors import H3DataError
     from h3data.recording import Dataset, Episodes, Recording
     from h3data.replay import Replay
-    from h3data.scene import HomeSpec, Scene, build_home
+    from h3data.scene import Scene
+    from h3data_homes import HomeSpec, build_home
     from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, rerender, sync
     from h3data_viewers.api import report, view
     from sim_kinematic.envs.make import make
@@ -60,9 +61,9 @@ _HOMES = {
     "Episodes": "h3data.recording",
     "Recording": "h3data.recording",
     "Replay": "h3data.replay",
-    "HomeSpec": "h3data.scene",
+    "HomeSpec": "h3data_homes",
     "Scene": "h3data.scene",
-    "build_home": "h3data.scene",
+    "build_home": "h3data_homes",
 }
 
 __all__ = [

@@ -23,6 +23,7 @@ MOVED = {
     "h3data.habitat.scene_names": "h3data.scene.open",
     "h3data.habitat.scenes.object_handles": "h3data.recording.assets.handles",
     "h3data.habitat.skinned_meshes": "h3data.recording.assets.skinned_meshes",
+    "h3data.scene.homes": "h3data_homes",
     "h3data_pipelines.command": "h3data.commands.command",
     "h3data_pipelines.commands.playing": "h3data_play.commands.playing",
     "h3data_pipelines.commands.serving": "h3data_play.commands.serving",
@@ -46,6 +47,10 @@ MOVED = {
 """New name of each module that was renamed; modules in a package that has moved as a whole follow its name."""
 
 RENAMED = {
+    "h3data.scene.HomePreset": "h3data_homes.HomePreset",
+    "h3data.scene.HomeSpec": "h3data.scenes.HomeSpec",
+    "h3data.scene.HOME_PRESETS": "h3data_homes.HOME_PRESETS",
+    "h3data.scene.build_home": "h3data.scenes.build_home",
     "sim_kinematic.agents.skills.Ending": "SkillResult",
     "sim_kinematic.policies.policy.KeptMoment": "RecordedPose",
     "sim_kinematic.policies.policy.PaceTo": "GaitAction",
@@ -64,7 +69,10 @@ RENAMED = {
     "sim_kinematic.world.Stride": "PoseCommand",
     "sim_kinematic.world.WalkTo": "WaypointCommand",
 }
-"""New name, in the same module, of each public object that was renamed. The module calls `refuse_renamed`."""
+"""New name of each public object that was renamed: in the same module, or with the new one before it if it has moved alone.
+
+The old module calls `refuse_renamed`.
+"""
 
 
 def refuse_renamed(module: str) -> Callable[[str], Any]:

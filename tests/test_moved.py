@@ -36,5 +36,6 @@ def test_the_old_name_of_an_object_is_refused_with_a_new_one_that_exists(old: st
     found = importlib.import_module(module)
     with pytest.raises(ImportError, match=rf"{name} is {RENAMED[old]} now"):
         exec(f"from {module} import {name}")
-    assert hasattr(found, RENAMED[old])
+    new_module, _, new = (RENAMED[old] if "." in RENAMED[old] else f"{module}.{RENAMED[old]}").rpartition(".")
+    assert hasattr(importlib.import_module(new_module), new)
     assert not hasattr(found, "never_there")

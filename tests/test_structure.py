@@ -17,6 +17,7 @@ PACKAGES = {
     "h3data_viewers": ROOT / "viewers" / "h3data_viewers",
     "h3data_play": ROOT / "viewers" / "h3data_play",
     "h3data_studies": ROOT / "viewers" / "h3data_studies",
+    "h3data_homes": ROOT / "pipelines" / "h3data_homes",
     "h3data_training": ROOT / "pipelines" / "h3data_training",
     "h3data_pipelines": ROOT / "pipelines" / "h3data_pipelines",
     "h3data_kernels": ROOT / "pipelines" / "h3data_kernels",
@@ -25,6 +26,7 @@ PACKAGES = {
 LAYERS = (
     "h3data",
     "sim_kinematic",
+    "h3data_homes",
     "h3data_viewers",
     "h3data_play",
     "h3data_studies",
@@ -35,7 +37,13 @@ LAYERS = (
 FACES = ("h3data.envs", "h3data.policies", "h3data.robots", "h3data.scenes", "h3data.sensors", "h3data.tasks")
 """What h3data offers to those who extend it, of modules that may move."""
 AGAINST_THE_LAYERS = {
-    "h3data": ["h3data_pipelines.api", "h3data_viewers.api", "sim_kinematic.envs.make", "sim_kinematic.tasks.sessions"],
+    "h3data": [
+        "h3data_homes",
+        "h3data_pipelines.api",
+        "h3data_viewers.api",
+        "sim_kinematic.envs.make",
+        "sim_kinematic.tasks.sessions",
+    ],
     "h3data.envs": [
         "sim_kinematic.envs.make",
         "sim_kinematic.envs.parallel",
@@ -59,6 +67,7 @@ AGAINST_THE_LAYERS = {
     "h3data.metrics.table_files": ["h3data.metrics"],  # no module: a key in the metadata of Parquet files
     "h3data.plugins": ["h3data_pipelines"],  # whether a command runs
     "h3data.scene.scene_file": ["h3data.scene"],  # no module: the name of the file format
+    "h3data.scenes": ["h3data_homes"],
     "h3data_play.app": [
         "h3data_play.apps.rearrange",
         "h3data_play.apps.social_nav",

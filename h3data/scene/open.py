@@ -149,6 +149,11 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
         return (NamedScene(name=str(Path(text)), source=SceneFile(path=str(Path(text)))),)
     label, _, which = text.partition("#")
     preset, _, seed = text.partition(":")
+    if seed and preset in preset_names():
+        raise InputError(
+            f"Unknown scenes {text!r}. Expected a whole number from 0 behind the colon, at most 18 digits, as in {preset}:3.",
+            code="H3-SCENE-068",
+        )
     found = find_scene_set(label)
     splits = [f"{name}/{split}" for name, of in builtin_sets().items() for split in of]
     near = did_you_mean(preset if seed else text, (*preset_names(), *splits))

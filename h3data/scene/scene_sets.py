@@ -149,7 +149,7 @@ def read_scene_set(path: str | Path) -> SceneSet:
     """The set in a TOML file. Scene paths are relative to its folder or absolute; the files must exist but are not read.
 
     Raises:
-        InputError: the file cannot be read.
+        InputError: the file cannot be read, or the package that makes its scenes is not installed.
         FormatError: the file is invalid; the message names the key of each fault.
     """
     path = Path(path)
@@ -163,6 +163,9 @@ def read_scene_set(path: str | Path) -> SceneSet:
         content = msgspec.toml.decode(data, type=_SetFile)
     except (msgspec.MsgspecError, UnicodeDecodeError) as fault:
         raise FormatError(f"{_readable(fault, _SetFile)} Scene set: {path}", code="H3-SCENE-063") from None
+    for kind in {str(record.get("kind", "home")) for record in content.scenes if "file" not in record}:
+        if kind in SCENES.missing():
+            SCENES.get(kind)  # says which package is missing, once and not for each scene
     faults = list(_header_faults(content))
     scenes: list[SceneEntry] = []
     for k, record in enumerate(content.scenes):

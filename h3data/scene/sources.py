@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast
@@ -67,6 +67,16 @@ SceneSource = SceneSpec | SceneFile
 
 
 @dataclass(frozen=True, kw_only=True)
+class SceneSize:
+    """What ``h3data scenes list`` says of the scenes of one name of a generator; None where it varies or means nothing."""
+
+    area_m2: float | None = None
+    """Floor area [m2]."""
+    bedrooms: int | None = None
+    bathrooms: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class SceneGenerator:
     """Scenes that are made of a name and a seed, such as ``small:3``."""
 
@@ -80,6 +90,10 @@ class SceneGenerator:
     """Keys and types of such a table: ``id`` and the keywords."""
     build: Callable[[Any], Scene]
     """The scene of a spec."""
+    listed: Mapping[str, SceneSize] = field(default_factory=dict)
+    """The names that ``h3data scenes list`` shows."""
+    about: str = ""
+    """How to name a scene, in whole sentences below that list."""
 
 
 @dataclass(frozen=True, kw_only=True)

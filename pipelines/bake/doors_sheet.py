@@ -14,8 +14,9 @@ from bake.open_kitchen import picture
 from h3data.geometry import heading_from_quat
 from h3data.render import look_at, pinhole
 from h3data.render.image_files import write_jpg
-from h3data.scene import HomeSpec, Scene, build_home
+from h3data.scene import Scene
 from h3data.scene.articulation import joints_of, posed
+from h3data_homes import HomeSpec, build_home
 
 SHOWN = ((1, "door_0/leaf"), (0, "door_1/leaf"))
 """Homes and their doors."""

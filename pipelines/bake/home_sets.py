@@ -21,10 +21,10 @@ import numpy as np
 from h3data.builtin import builtin_root
 from h3data.errors import SceneError
 from h3data.files import part_file
-from h3data.scene import HomeSpec
-from h3data.scene.homes.spec import MAX_BATHROOMS, MAX_BEDROOMS, Preset, min_area_m2
 from h3data.scene.open import NamedScene, named_scenes, open_free_space, open_scene
 from h3data.scene.scene_sets import SceneEntry, SceneSet, SocialNavRules, read_scene_set
+from h3data_homes import HomeSpec
+from h3data_homes.spec import MAX_BATHROOMS, MAX_BEDROOMS, Preset, min_area_m2
 from h3data_pipelines.assets.scene_reports import AGENT_HEIGHT_M, AGENT_RADIUS_M, scene_size, validate_scene
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.social_nav.sets import set_episode

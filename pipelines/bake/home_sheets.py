@@ -21,12 +21,13 @@ from h3data.render.image_files import write_jpg
 from h3data.render.light.bake import lit_scene
 from h3data.render.light.sources import sources_of
 from h3data.render.sheets.scene_map import eye_level_camera, plan_picture, render_scene
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from h3data.scene.homes.kinds.kind import furniture_of, thing_of
-from h3data.scene.homes.layout import plan_layout
-from h3data.scene.homes.lived_in.looks import sample_look
-from h3data.scene.homes.spec import Look
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.kinds import KINDS, Kind
+from h3data_homes import HomeSpec, build_home
+from h3data_homes.kinds.kind import furniture_of, thing_of
+from h3data_homes.layout import plan_layout
+from h3data_homes.lived_in.looks import sample_look
+from h3data_homes.spec import Look
 
 Picture = NDArray[np.uint8]
 PAPER, INK = (250, 250, 248), (30, 30, 36)

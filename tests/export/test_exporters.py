@@ -43,7 +43,7 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.replay import Replay
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode

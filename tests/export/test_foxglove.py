@@ -33,7 +33,7 @@ from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.recording import AssetRef, Body, Episode, Event, InputEvent, Recording, SkillSpan
 from h3data.render import pinhole
 from h3data.replay import Replay, camera_track
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.export.foxglove_file import TURN, File, matrix, nanoseconds
 

@@ -29,19 +29,18 @@ from h3data.scene import (
     Capsule,
     Cylinder,
     FreeSpace,
-    HomeSpec,
     Hull,
     Instance,
     Mesh,
     Receptacle,
     Room,
     Scene,
-    build_home,
     instance_bounds,
     instance_matrix,
 )
 from h3data.scene.articulation import joints_of, posed
 from h3data.scene.navmesh.navmesh import NavMeshSettings
+from h3data_homes import HomeSpec, build_home
 
 S = 0.5**0.5
 

@@ -19,7 +19,7 @@ from h3data.formats import ExportRequest
 from h3data.recording import Dataset, Recording
 from h3data.recording.parquet.lerobot import rebuild_meta
 from h3data.replay import Replay, camera_track
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.registry import find_task

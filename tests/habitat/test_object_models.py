@@ -10,7 +10,8 @@ import pytest
 
 from h3data.errors import InputError, SceneError
 from h3data.habitat.object_models import load_object_models, with_object_models
-from h3data.scene import HomeSpec, Scene, build_home, load_scene
+from h3data.scene import Scene, load_scene
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 
 

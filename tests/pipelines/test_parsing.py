@@ -408,7 +408,9 @@ def test_a_positional_output_is_not_called_o() -> None:
 def test_messages_below_the_commands_name_no_flags() -> None:
     """They reach users of Python, too; the command line translates them (`in_shell_words`)."""
     found = []
-    for file in (p for package in ("h3data", "sim_kinematic") for p in Path(package).rglob("*.py")):
+    for file in (
+        p for package in ("h3data", "sim_kinematic", "pipelines/h3data_homes") for p in Path(package).rglob("*.py")
+    ):
         if Path("h3data/commands") in file.parents:
             continue  # what commands themselves say
         text = file.read_text(encoding="utf-8")

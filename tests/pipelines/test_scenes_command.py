@@ -30,19 +30,18 @@ from h3data.scene import (
     Capsule,
     Cylinder,
     FreeSpace,
-    HomeSpec,
     Hull,
     Instance,
     Mesh,
     Receptacle,
     Room,
     Scene,
-    build_home,
     load_scene,
     scene_digest,
 )
 from h3data.scene.open import named_scenes
 from h3data.scene.validation import Problem, find_problems, free_space_for_validation, hull_fills_hollows
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.assets.scene_reports import validate_scene
 from h3data_pipelines.cli import main
 from sim_kinematic.contact import overlapping_instances

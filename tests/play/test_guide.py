@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.errors import InputError
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from h3data_play.guide import FLOOR_SNAP_M, NEAR_M, Guide
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 from sim_kinematic.motion.state import RobotState

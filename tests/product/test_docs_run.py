@@ -80,7 +80,7 @@ ASSUMED: dict[str, str] = {
     + "from h3data.render import pinhole\ncameras = [pinhole(64, 48, hfov_deg=60)] * 3\n"
     + "origins, directions = np.ones((4, 3)), np.eye(3)[[0, 1, 2, 0]]\n"
     + "robot_eye, person_head = np.ones((1, 3)), np.ones((1, 3)) * 2\n"
-    + "mask = None\nfrom h3data.scene import HomeSpec, build_home\nhome = build_home(HomeSpec(preset='small', seed=3))\n"
+    + "mask = None\nfrom h3data.scenes import HomeSpec, build_home\nhome = build_home(HomeSpec(preset='small', seed=3))\n"
     + "from h3data.render.sheets.scene_map import render_scene\nflat = render_scene(home)\n"
     + "meshes, instances, static = flat.meshes, flat.instances, range(len(flat.instances))\n",
     "rerender.md": 'import h3data\nh3data.rerender("episode.mcap", "training", cameras=["robot_arm"], outputs=["rgb", "depth"],'

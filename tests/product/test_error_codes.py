@@ -77,7 +77,7 @@ def test_the_page_loses_no_code() -> None:
 
 
 def test_every_folder_has_an_area() -> None:
-    assert error_codes.area_of("h3data/scene/homes/build.py") == "SCENE"
+    assert error_codes.area_of("pipelines/h3data_homes/build.py") == "SCENE"
     assert error_codes.area_of("h3data/plugins.py") == "FILE"
     for path in shipped_files(ROOT):
         assert error_codes.area_of(path.relative_to(ROOT).as_posix()) in error_codes.AREAS

@@ -14,7 +14,7 @@ from h3data.geometry import pose_to_matrix
 from h3data.recording import Recording
 from h3data.render import OPENGL_TO_OPENCV, look_at
 from h3data.replay import Replay, camera_names, camera_track
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 

@@ -12,7 +12,7 @@ from h3data.bodies import robot_digest
 from h3data.errors import FormatError, InputError
 from h3data.recording import Recording, read_mcap, write_mcap
 from h3data.replay import Replay
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.resume import resume, verify
 from tests.bodies.robots.cart_robot import CART_SETTINGS, write_cart

@@ -14,7 +14,7 @@ from h3data.render.shade.blockers_simd import ALONG, GROUP, RADIUS, START
 from h3data.replay import Replay, camera_track
 from h3data.replay.shadow_casters import moved
 from h3data.replay.stage import Stage
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 

@@ -15,7 +15,7 @@ from h3data.habitat.hitl.hitl_sessions import read_hitl_episode
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import CameraTrack, Replay, camera_at, camera_names, camera_track
-from h3data.scene import HomeSpec, build_home
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 

@@ -23,7 +23,6 @@ from h3data.scene import (
     Box,
     Capsule,
     Cylinder,
-    HomeSpec,
     Hull,
     Instance,
     Mesh,
@@ -31,12 +30,12 @@ from h3data.scene import (
     Room,
     Scene,
     Texture,
-    build_home,
     load_scene,
     save_scene,
     scene_digest,
 )
 from h3data.scene.scene_file import _linear_of_srgb, _srgb_of_linear, scene_bytes
+from h3data_homes import HomeSpec, build_home
 from tests.examples import examples
 
 

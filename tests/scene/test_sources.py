@@ -9,16 +9,18 @@ import pytest
 
 import h3data
 from h3data.errors import FormatError, InputError, SceneError
-from h3data.scene import HomeSpec, build_home, save_scene, scene_digest
+from h3data.scene import save_scene, scene_digest
 from h3data.scene.open import named_scenes, open_scene
 from h3data.scene.scene_sets import read_scene_set
 from h3data.scene.sources import SCENES, SceneFile, object_mesh, recorded_spec
+from h3data_homes import HomeSpec, build_home
 
 LIFTED = """
 from dataclasses import dataclass
 from typing import ClassVar
 import msgspec
-from h3data.scene import HomeSpec, build_home, load_scene
+from h3data.scene import load_scene
+from h3data_homes import HomeSpec, build_home
 from h3data.scene.sources import SceneGenerator, SceneReader
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +13,10 @@ import numpy as np
 
 from h3data.commands.command import Outcome
 from h3data.errors import InputError, MissingAssetError, SceneError
-from h3data.scene import HOME_PRESETS, FreeSpace, Scene
-from h3data.scene.homes import HOME_NAMES
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.open import NamedScene, open_scene
 from h3data.scene.scene_sets import builtin_sets, find_scene_set
-from h3data.scene.sources import SceneFile, SceneSource
+from h3data.scene.sources import SceneFile, SceneSource, scene_generators
 
 if TYPE_CHECKING:
     from h3data.scene.validation import Problem
@@ -45,17 +44,12 @@ def scene_size(name: str, scene: Scene, free: FreeSpace | None) -> dict[str, Any
 
 
 def presets_and_sets() -> Outcome:
-    """Tables of the built-in home presets and scene sets."""
+    """Tables of the names for which the installed generators make scenes, and of the built-in scene sets."""
+    generators = scene_generators().values()
     presets = [
-        {
-            "preset": name,
-            "area_m2": HOME_PRESETS[options["preset"]].area_m2,
-            "bedrooms": HOME_PRESETS[options["preset"]].bedrooms,
-            "bathrooms": HOME_PRESETS[options["preset"]].bathrooms,
-            "seeds": "0, 1, 2, ...",
-        }
-        for name, options in HOME_NAMES.items()
-        if not options["articulated"]
+        {"preset": name, **asdict(size), "seeds": "0, 1, 2, ..."}
+        for generator in generators
+        for name, size in generator.listed.items()
     ]
     scene_sets = [find_scene_set(f"{name}/{split}") for name, splits in builtin_sets().items() for split in splits]
     sets = [
@@ -74,8 +68,7 @@ def presets_and_sets() -> Outcome:
         text_table(
             ("preset", "floor m2", "bedrooms", "bathrooms", "seeds"), [[cell(v) for v in r.values()] for r in presets]
         ),
-        "Name a home as preset:seed, e.g. small:3, with any seed from 0; small2:3 is one of the second generation, and in "
-        "small-open:3 furniture opens; small2-storeys:3 has two storeys, and small2-doors:3 doors between its rooms.",
+        *(generator.about for generator in generators if generator.about),
         text_table(
             ("set", "scenes", "episodes each", "episodes", "spawn distance m", "about"),
             [[cell(v) for v in r.values()] for r in sets],
@@ -174,8 +167,8 @@ def short_name(name: str) -> str:
 
 # --- tables and files -------------------------------------------------------------------------------------------------
 def cell(value: Any) -> str:
-    """Value as text for a table; numbers that are not integers have two decimals."""
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
+    """Value as text for a table; numbers that are not integers have two decimals, and None is empty."""
+    return "" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
 def text_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

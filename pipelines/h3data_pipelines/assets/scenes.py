@@ -27,8 +27,15 @@ from h3data.errors import InputError, SceneError
 from h3data.progress import progress
 from h3data.recording.task_episodes.rearrange_episode import EpisodeSet, RigidObject
 from h3data.scene import FreeSpace, Scene
-from h3data.scene.homes import HOME_NAMES
-from h3data.scene.open import NamedScene, collection_and_scene, is_collection, named_scenes, open_free_space, open_scene
+from h3data.scene.open import (
+    NamedScene,
+    collection_and_scene,
+    is_collection,
+    named_scenes,
+    open_free_space,
+    open_scene,
+    preset_names,
+)
 from h3data.scene.scene_sets import SceneSet, find_scene_set
 from h3data.scene.sources import SceneFile
 from h3data_pipelines.assets.scene_reports import (
@@ -384,7 +391,7 @@ def _named(
 
 
 def _refuse_preset(text: str) -> None:
-    if text in HOME_NAMES:
+    if text in preset_names():
         raise InputError(
             f"Expected a single home, {text!r} is a preset: add a seed, e.g. {text}:0.", code="H3-BODY-143"
         )

@@ -15,7 +15,8 @@ import numpy as np
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.render import pinhole
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.open import named_scenes, open_scene
 from h3data_pipelines.benchmark.agents import Action, Agent, HumanAgent, RobotAgent
 from sim_kinematic.agents.arm_contact import ArmContact
 from sim_kinematic.contact import AgentContacts
@@ -193,5 +194,5 @@ class BenchmarkWorlds:
 @lru_cache(maxsize=3)
 def _home(preset: str) -> tuple[Scene, FreeSpace]:
     spec = SocialNavSpec()
-    home = build_home(HomeSpec(preset=preset, seed=HOME_SEED))  # pyright: ignore[reportArgumentType] - checked there
+    home = open_scene(named_scenes(f"{preset}:{HOME_SEED}")[0].source)
     return home, FreeSpace.from_scene(home, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)

@@ -44,6 +44,7 @@ VIEWERS: Registry[Callable[..., object]] = Registry("h3data.viewers", {}, what="
 
 if TYPE_CHECKING:
     from h3data.render import Output
+    from h3data.scene import Scene
 FILES = (
     "episode.mcap",
     "first_picture.png",
@@ -87,6 +88,7 @@ class Demo:
     def run(self) -> Outcome:
         """Simulates the episode, then writes its metrics, a picture and the videos."""
         from h3data.metrics import measure_many
+        from h3data.scene.open import named_scenes, open_scene
 
         if self.steps < 1:
             raise InputError(f"--steps must be at least 1, got {self.steps}.", code="H3-OPTION-029")
@@ -97,6 +99,7 @@ class Demo:
         size = parse_size(self.size)
         if "rerun" not in VIEWERS.names():
             VIEWERS.get("rerun")  # says which package is missing, before anything is done
+        (home,) = named_scenes(f"small2:{self.seed}")
         out = claim_folder(self.out, force=self.force)
         if self.force:
             remove_dataset(out / "dataset")
@@ -106,7 +109,7 @@ class Demo:
         # the kernels of people come last: this process needs them early, and compiles them meanwhile
         with compiled_aside(["pictures", *(["light"] if self.light == "baked" else []), "people"]):
             with clock.part("simulate"):
-                recording = self._simulate(out / "episode.mcap")
+                recording = self._simulate(open_scene(home.source), out / "episode.mcap")
             with clock.part("metrics"):
                 table = measure_many([recording])
                 write_text(out / "metrics.json", table.to_json() + "\n")
@@ -142,14 +145,12 @@ class Demo:
             data=summary | {"out": str(out), "metrics": table.to_dict()},
         )
 
-    def _simulate(self, path: Path) -> Recording:
+    def _simulate(self, scene: Scene, path: Path) -> Recording:
         from h3data.recording import RecordingWriter
-        from h3data.scene import HomeSpec, build_home
         from sim_kinematic.motion.spec import NATURAL_WALKER, SocialNavSpec
         from sim_kinematic.tasks.runner import simulate
         from sim_kinematic.tasks.social_nav import SocialNav
 
-        scene = build_home(HomeSpec(preset="small", seed=self.seed, generation=2))
         spec = SocialNavSpec(
             max_steps=self.steps, spawn_distance_m=4.0, human=replace(NATURAL_WALKER, speed_mps=self.human_speed)
         )

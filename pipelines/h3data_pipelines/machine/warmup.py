@@ -186,14 +186,14 @@ def _task(name: str, steps: int | None = None) -> Callable[[], None]:
     def play() -> None:
         from h3data.metrics import measure_many
         from h3data.replay import Replay, camera_track
-        from h3data.scene import HomeSpec, build_home
+        from h3data.scene.open import named_scenes, open_scene
         from sim_kinematic.tasks.episode import with_options
         from sim_kinematic.tasks.registry import find_task
         from sim_kinematic.tasks.runner import simulate
 
         task = find_task(name)
         spec = with_options(task.default_spec(), max_steps=steps)  # None: those of the task
-        recording = simulate(task, task.episode(build_home(HomeSpec(preset="small", seed=15)), spec=spec))
+        recording = simulate(task, task.episode(open_scene(named_scenes("small:15")[0].source), spec=spec))
         measure_many([recording])
         replay = Replay(recording)
         stage = replay.stage

@@ -25,7 +25,8 @@ from h3data.recording.task_episodes.social_nav_episodes import (
     social_nav_episode,
     social_nav_of,
 )
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.simulated import SOCIAL_NAV, simulate_social_nav
 

@@ -16,12 +16,13 @@ from shapely.ops import nearest_points
 from h3data.errors import InputError, SceneError
 from h3data.geometry import quat_from_heading
 from h3data.mesh.mesh import Mesh
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
 from h3data.scene.freespace._visibility import visibility_edges
 from h3data.scene.freespace._visibility_build import edges_inside
 from h3data.scene.freespace.build import build_from_walkable
 from h3data.scene.freespace.free_space import line_of_sight, sample_sdf, sdf_gradient
 from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Instance, Room, Scene, Shape
+from h3data_homes import HomeSpec, build_home
 
 SIZES = {"radius_m": 0.25, "height_m": 1.41, "max_climb_m": 0.2, "cell_m": 0.05}
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])

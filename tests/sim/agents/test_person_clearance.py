@@ -13,7 +13,8 @@ from h3data.bodies import JOINT_INDEX, load_humanoid
 from h3data.bodies.people.reach import reacher
 from h3data.geometry import ground_pose
 from h3data.recording import Recording
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.person import Person, run
 from sim_kinematic.agents.person_clearance import REACHING_PARTS, TOLERANCE_M, BodyClearance
 from sim_kinematic.agents.person_skills import PersonActor

@@ -10,8 +10,9 @@ from shapely.geometry import box
 
 from h3data.bodies import load_robot
 from h3data.geometry import IDENTITY_POSE
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.robots.driving import ARRIVED_M
 from sim_kinematic.agents.robots.skills import ARM_OUT_M, RobotActor
 from sim_kinematic.agents.skills import Action, Objects, SkillResult

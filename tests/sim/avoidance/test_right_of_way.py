@@ -12,8 +12,9 @@ import shapely
 
 from h3data.bodies import load_humanoid
 from h3data.geometry import ground_pose
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import build_from_walkable
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor

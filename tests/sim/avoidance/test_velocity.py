@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import ObstacleDisc, braking_speed, eased, keep_clear
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec

@@ -17,8 +17,8 @@ from h3data.progress import progress
 from h3data.render import Light, look_at, pinhole
 from h3data.render.light.bake import LitScene
 from h3data.replay import Replay, camera_track
-from h3data.scene import HomeSpec, build_home
 from h3data.scene.articulation import opened
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.envs import stepper
 from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.motion.spec import SocialNavSpec

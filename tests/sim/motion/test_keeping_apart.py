@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.spec import HOME_BASE
 from sim_kinematic.motion.step import discs_at, keep_apart

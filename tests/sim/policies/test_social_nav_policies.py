@@ -12,8 +12,9 @@ from shapely.geometry import box
 from h3data.errors import InputError
 from h3data.geometry import wrap_angle
 from h3data.metrics import measure
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import build_from_walkable
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState

@@ -11,7 +11,8 @@ from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.render import Camera, normalize_depth
 from h3data.replay import Replay, camera_track
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, pose_from_matrix, pose_to_matrix, transform_points
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT
 from sim_kinematic.motion.step import integrate

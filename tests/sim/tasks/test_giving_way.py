@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import h3data
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec

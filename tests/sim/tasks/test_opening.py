@@ -16,8 +16,9 @@ from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.mesh.glb import unpack_glb
 from h3data.recording import DatasetWriter, Recording, write_mcap
 from h3data.replay.validation import validate_recording
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import joints_of, posed
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.driven.commands import (
     Close,

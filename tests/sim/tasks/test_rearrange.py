@@ -15,7 +15,8 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import ground_pose, pose_inverse, pose_multiply, pose_to_matrix, quat_rotate
 from h3data.metrics import measure
 from h3data.recording import Recording, read_mcap, recordings_equal, state_hash, write_mcap
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home, instance_matrix
+from h3data.scene import FreeSpace, Scene, instance_matrix
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.robots.hand_reach import HAND_PITCH_RAD, hand_turn
 from sim_kinematic.agents.skills import SKILLS, Action
 from sim_kinematic.agents.stands import person_stands, robot_stands

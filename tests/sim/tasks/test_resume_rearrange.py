@@ -15,7 +15,8 @@ import pytest
 from h3data.builtin import builtin_path
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Dataset, DatasetWriter, Recording, open_recording, state_hash, write_mcap
-from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene import FreeSpace, Scene
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
 from sim_kinematic.policies.learned import SHIPPED

@@ -14,7 +14,8 @@ torch = pytest.importorskip("torch")
 
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.render.gpu import GpuRenderer  # noqa: E402
-from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
+from h3data.scene import FreeSpace  # noqa: E402
+from h3data_homes import HomeSpec, build_home  # noqa: E402
 from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv  # noqa: E402
 from h3data_training.episodes import rules  # noqa: E402
 from h3data_training.torch import cameras as torch_cameras  # noqa: E402

@@ -17,8 +17,12 @@ import h3data  # noqa: E402
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
 from h3data.geometry import ground_pose, wrap_angle  # noqa: E402
-from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
-from h3data.scene.homes import HOME_NAMES  # noqa: E402
+from h3data.scene import FreeSpace  # noqa: E402
+from h3data_homes import (  # noqa: E402
+    HOME_NAMES,
+    HomeSpec,
+    build_home,
+)
 from h3data_training.envs.social_nav_torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
 from h3data_training.torch.contact import TOLERANCE_M, TouchTest  # noqa: E402
 from h3data_training.torch.episodes import EpisodeBank  # noqa: E402

@@ -23,8 +23,8 @@ from h3data.geometry import heading_from_quat, pose_to_matrix, quat_from_axis_an
 from h3data.recording import Recording, write_mcap
 from h3data.recording.records import JOINTS, Event, SkillSpan
 from h3data.replay import Replay
-from h3data.scene import HomeSpec, build_home
 from h3data.scene.articulation import joints_of
+from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_viewers.html_replay import home, html_file
 from h3data_viewers.html_replay.html_file import write_html
