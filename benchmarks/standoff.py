@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import load_humanoid
+from h3data.bodies.people.reach import Hand
 from h3data.geometry import heading_from_quat, wrap_angle
 from h3data.recording import Recording
 from h3data.scene import FreeSpace, Scene
@@ -208,7 +209,9 @@ def shut_steps(recording: Recording, scene: Scene, free: FreeSpace) -> int:
         end = np.asarray(goals[k] if NAVIGATES[skill] else columns["object_pose"][step, k, :3], np.float64)
         key = tuple(end.round(2).tolist())
         if key not in places:
-            stands = [(stand, hand) for hand in HANDS for stand in person_stands(free, body, end, hand)]
+            stands: list[tuple[NDArray[np.float64], Hand]] = []
+            for hand in HANDS:
+                stands.extend((stand, hand) for stand in person_stands(free, body, end, hand))
             places[key] = np.array([s[:2] for s, hand in stands if room.is_clear(s, end, hand)]).reshape(-1, 2)
         robot, person = (columns[f"agent_{n}.base_pose"][step].astype(np.float64) for n in range(2))
         heading = float(heading_from_quat(robot[3:]))
