@@ -71,6 +71,7 @@ BY_CLASS = {
     "SceneError": "Correct the file that the message names, or use another home; `h3data scenes list` shows the included ones.",
     "MissingAssetError": "Give the folder that has the file with `--assets DIR`.",
     "MissingExtraError": "Install the extra that the message names.",
+    "Refused": "Correct the option that the message names, or start the server again.",
     "PluginError": "Upgrade or uninstall the package that the message names.",
     "UntrustedNameError": "If you trust the source of the file, say so as the message shows.",
     "GpuError": "Check the driver with `h3data doctor`, or use the CPU.",
@@ -78,6 +79,8 @@ BY_CLASS = {
     "DiskFullError": "Free some space and run the same command again.",
 }
 """What to do about an error whose message does not say it, by class; others have what the class above them has."""
+WITHOUT_BASE = ("Refused",)
+"""Classes whose errors become an `H3DataError` in another process; their own does not import h3data."""
 OTHER = ErrorKind("H3-OTHER-000", "H3DataError", "The message of a plug-in.", "Ask the authors of the plug-in.")
 GONE = "No longer raised."
 
@@ -113,7 +116,7 @@ def read_sources(files: Iterable[Path]) -> Sources:
     """Parses the modules that mention an error with a parenthesis behind it; parsing all would take five times as long."""
     texts = {path: path.read_text(encoding="utf-8") for path in files}
     bases = dict(each for text in texts.values() for each in re.findall(r"^class (\w+)\((.+)\):", text, re.MULTILINE))
-    names = {"H3DataError"}
+    names = {"H3DataError", *WITHOUT_BASE}
     while more := {name for name, of in bases.items() if name not in names and names & set(re.findall(r"\w+", of))}:
         names |= more
     mentioned = re.compile(rf"\b({'|'.join(names)})\(")

@@ -354,6 +354,7 @@ def test_files_of_the_same_name_do_not_overwrite_each_other(tmp_path: Path, caps
     files = [tmp_path / "in" / name / "s.gfx_replay.json" for name in ("one", "two")]
     data = run_json(capsys, "import", *files, "-o", tmp_path / "flat", "--force", code=1)
     assert (data["imported"], data["failed"]) == (1, 1)
+    assert [row["code"][:3] for row in data["files"] if row["status"] == "failed"] == ["H3-"]
     assert h3data.open(tmp_path / "flat" / "s.mcap").assets[0].name == "one"
     logs = [tmp_path / "out" / name / "s.mcap" for name in ("one", "two")]
     assert "'s'" in run_json(capsys, "rerender", *logs, "-o", tmp_path / "v", "--force", code=2)["error"]

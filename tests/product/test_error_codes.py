@@ -9,6 +9,8 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -50,6 +52,25 @@ def test_a_traceback_names_the_code() -> None:
 
 def test_a_failed_episode_says_its_code() -> None:
     assert reason_of(SceneError("No\nhome.", code="H3-SCENE-014")) == "No home. [H3-SCENE-014]"
+
+
+def test_refusals_in_live_play_say_their_code() -> None:
+    pytest.importorskip("aiohttp", reason="needs the extra hitl")
+    from h3data_play.worker import Worker
+
+    def refuse(*_: object) -> str:
+        raise InputError("Not there.", code="H3-PLAY-001")
+
+    told: list[tuple[str, str, list]] = []
+    driver = SimpleNamespace(can_place=refuse)
+    running: Any = SimpleNamespace(over=False, key="a", game=SimpleNamespace(drivers={0: driver}, take=refuse))
+    worker: Any = SimpleNamespace(
+        games={"a": running}, channel=SimpleNamespace(send=lambda *letter: told.append(letter))
+    )
+    Worker.can(worker, "a", [0, [1.0, 2.0]])
+    Worker._take(worker, running, 0, SimpleNamespace(), "", 0.0)  # type: ignore[arg-type]
+    said = {"why": "Not there.", "code": "H3-PLAY-001"}
+    assert told == [("told", "a", [0, {"can": {"p": [1.0, 2.0], **said}}]), ("told", "a", [0, said])]
 
 
 def test_the_entry_of_a_code_is_shown(capsys: pytest.CaptureFixture[str]) -> None:

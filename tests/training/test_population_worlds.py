@@ -333,7 +333,7 @@ def test_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
         (("--device", "cuda"), "Without --worlds rearrange plays our full rules"),
         (("--worlds", "0"), "at least 1 world"),
         (("--worlds", "8", "--workers", "0"), "at least 1 worker"),
-        (("--worlds", "8", "--gpus", "2"), "Options of social_nav, not of rearrange: --gpus"),
+        (("--worlds", "8", "--gpus", "2"), "no options of rearrange: --gpus"),
     ):
         assert main(["train", "rearrange", *words, *out]) == 2
         assert message in " ".join(capsys.readouterr().err.split())

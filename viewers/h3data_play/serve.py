@@ -167,11 +167,12 @@ def main(kind: type[ServeOptions]) -> int:
     options = msgspec.json.decode(sys.stdin.readline(), type=kind)
     try:
         return asyncio.run(serve(options, report))
-    except Refused as fault:
+    except (Refused, sqlite3.OperationalError) as fault:
+        if not isinstance(fault, Refused):
+            fault = Refused(
+                f"The folder of the session cannot be written ({fault}). Is its disk full?", code="H3-PLAY-029"
+            )
         report({"refused": str(fault), "code": fault.code})
-        return 2
-    except sqlite3.OperationalError as fault:
-        report({"refused": f"The folder of the session cannot be written ({fault}). Is its disk full?"})
         return 2
     except KeyboardInterrupt:
         return 130

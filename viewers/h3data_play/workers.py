@@ -13,7 +13,6 @@ from typing import Any
 
 import msgspec
 
-from h3data.errors import H3DataError
 from h3data_play.channel import encode, receive
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
 
@@ -31,8 +30,15 @@ READY_S = 600.0
 Heard = Callable[["WorkerProcess", str, str, Any], None]
 
 
-class Refused(H3DataError):
-    """The plan cannot be played; the text says why."""
+class Refused(Exception):
+    """The plan cannot be played; the text says why.
+
+    It is no `H3DataError`, because the front imports nothing of h3data; the command raises one with the same text and code.
+    """
+
+    def __init__(self, text: str, *, code: str = "") -> None:
+        super().__init__(text)
+        self.code = code
 
 
 class WorkerProcess:

@@ -198,7 +198,7 @@ class Generate:
     """Policy of the robot, or of each robot in turn: a name, weights:FILE (h3data docs learned-policies) or module:name."""
     partners: Annotated[tuple[str, ...], PARTNERS]
     """Policy of the person, or of each person in turn."""
-    agents: Annotated[tuple[str, ...], OfTasks(("rearrange", "wander"))]
+    agents: tuple[str, ...]
     """Who takes part (default: robot,human): kinds, bodies, files, or a kind with one of these, as in robot,human,male_1 or
     robot:my_robot.urdf,human:male_1."""
     robot: str | None

@@ -367,7 +367,7 @@ def test_a_machine_without_a_browser_says_so(
 
 def test_open_starts_rerun(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rerun")
-    from h3data_pipelines.pictures import viewing
+    from h3data_viewers.commands import viewing
 
     started: list[list[str]] = []
     monkeypatch.setattr(viewing.subprocess, "Popen", lambda command, **_: started.append(command))
